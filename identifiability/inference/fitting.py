@@ -1,0 +1,203 @@
+"""Best parameters of a problem: multistart bounded least squares, or the simplex of the paper."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.optimize
+
+from identifiability.errors import InputError
+from identifiability.inference.problem import Problem
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """Result of a fit.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Free parameters.
+    values : array, shape (n_free,)
+        The optimum.
+    cost : float
+        Half the sum of squared whitened residuals there.
+    at_bound : tuple of str
+        Parameters whose optimum lies on a bound of the prior.
+    costs : array, shape (n_starts,)
+        Cost reached from each start, infinite where a start failed.
+    n_agreeing : int
+        Number of starts that reached the best cost.
+    method : str
+    """
+
+    names: tuple[str, ...]
+    values: np.ndarray
+    cost: float
+    at_bound: tuple[str, ...]
+    costs: np.ndarray
+    n_agreeing: int
+    method: str
+
+    def __getitem__(self, name: str) -> float:
+        """Value of a parameter by name."""
+        return float(self.values[self.names.index(name)])
+
+
+def starting_points(problem: Problem, around: np.ndarray, n: int, seed: int) -> np.ndarray:
+    """Starts: `around` itself, then log-uniform factors of up to five about it, inside the bounds.
+
+    Parameters
+    ----------
+    problem : Problem
+    around : array, shape (n_free,)
+        The best guess.
+    n : int
+        Number of starts.
+    seed : int
+
+    Returns
+    -------
+    array, shape (n, n_free)
+    """
+    around = np.asarray(around, float)
+    factors = 5.0 ** np.random.default_rng(seed).uniform(-1, 1, (n, around.size))
+    factors[0] = 1.0
+    return _inside(problem, around * factors)
+
+
+def fit(problem: Problem, starts: np.ndarray, *, polish: bool = True) -> Fit:
+    """Fit by bounded least squares (SciPy's trust region reflective) from every start.
+
+    Parameters
+    ----------
+    problem : Problem
+    starts : array, shape (n_starts, n_free)
+    polish : bool
+        Whether to end with Newton steps on the full Hessian, which least squares, being built on
+        the Gauss-Newton matrix, approaches only linearly where the residual does not vanish.
+
+    Returns
+    -------
+    Fit
+
+    Raises
+    ------
+    InputError
+        Where no start leads to a finite response.
+    """
+    starts = _inside(problem, np.atleast_2d(starts))
+    best, costs, failures = None, np.full(len(starts), np.inf), []
+    for i, start in enumerate(starts):
+        try:
+            result = scipy.optimize.least_squares(
+                problem.residuals,
+                start,
+                jac=problem.jacobian,
+                bounds=(problem.lower, problem.upper),
+                x_scale=np.maximum(np.abs(start), 1e-3),
+                ftol=1e-12,
+                xtol=1e-10,
+                gtol=1e-12,
+                max_nfev=200,
+            )
+        except (ValueError, np.linalg.LinAlgError) as error:
+            failures.append(str(error))
+            continue
+        costs[i] = result.cost
+        if best is None or result.cost < best.cost:
+            best = result
+    if best is None:
+        raise InputError(f"no start gave a finite response ({failures[0]}); check data and bounds")
+    values, cost = best.x, float(best.cost)
+    if polish:
+        values, cost = _newton(problem, values, cost)
+    return _finish(problem, values, cost, costs, "least squares")
+
+
+def fit_simplex(
+    problem: Problem, starts: np.ndarray, *, xatol: float = 1e-4, fatol: float = 1e-4
+) -> Fit:
+    """Fit by the Nelder-Mead simplex, as the paper did, from every start.
+
+    Parameters
+    ----------
+    problem : Problem
+    starts : array, shape (n_starts, n_free)
+    xatol, fatol : float
+        Tolerances on parameters and cost; the defaults are those of MATLAB's ``fminsearch``.
+
+    Returns
+    -------
+    Fit
+    """
+    starts = _inside(problem, np.atleast_2d(starts))
+
+    def cost(x: np.ndarray) -> float:
+        return float(0.5 * np.sum(problem.residuals(x) ** 2))
+
+    bounds = scipy.optimize.Bounds(problem.lower, problem.upper)
+    options = {"xatol": xatol, "fatol": fatol, "maxiter": 2000, "maxfev": 4000}
+    results = [
+        scipy.optimize.minimize(cost, start, method="Nelder-Mead", bounds=bounds, options=options)
+        for start in starts
+    ]
+    costs = np.array([r.fun for r in results])
+    best = results[int(np.argmin(costs))]
+    return _finish(problem, best.x, float(best.fun), costs, "Nelder-Mead")
+
+
+def at_bounds(problem: Problem, values: np.ndarray) -> tuple[str, ...]:
+    """Names of the free parameters that lie on a bound, to within 1e-6 of their size."""
+    near = 1e-6 * np.maximum(np.abs(values), 1e-3)
+    on = (values - problem.lower <= near) | (problem.upper - values <= near)
+    return tuple(name for name, is_on in zip(problem.names, on, strict=True) if is_on)
+
+
+def _inside(problem: Problem, points: np.ndarray) -> np.ndarray:
+    """Points moved strictly inside the bounds, as the trust region method requires."""
+    lower = np.where(np.isfinite(problem.lower), problem.lower, -1e12)
+    upper = np.where(np.isfinite(problem.upper), problem.upper, 1e12)
+    margin = 1e-6 * np.minimum(upper - lower, 1.0)
+    return np.clip(points, lower + margin, upper - margin)
+
+
+def _newton(problem: Problem, x: np.ndarray, cost: float, steps: int = 8) -> tuple[np.ndarray, float]:
+    """Newton steps within the face of active bounds, kept only while they lower the cost."""
+    for _ in range(steps):
+        residuals, jacobian = problem.residuals(x), problem.jacobian(x)
+        gradient, hessian = jacobian.T @ residuals, problem.hessian(x)
+        size = np.maximum(np.abs(x), 1e-3)
+        pinned = ((x - problem.lower < 1e-6 * size) & (gradient > 0)) | (
+            (problem.upper - x < 1e-6 * size) & (gradient < 0)
+        )
+        # What the reflective method leaves a hair inside a bound belongs on it.
+        x = np.where(pinned, np.where(gradient > 0, problem.lower, problem.upper), x)
+        free = ~pinned
+        if not free.any():
+            break
+        scaled = hessian[np.ix_(free, free)] * np.outer(size[free], size[free])
+        if np.linalg.eigvalsh(scaled)[0] <= 0:
+            break
+        move = np.zeros_like(x)
+        move[free] = -size[free] * np.linalg.solve(scaled, size[free] * gradient[free])
+        trial = np.clip(x + move, problem.lower, problem.upper)
+        trial_cost = float(0.5 * np.sum(problem.residuals(trial) ** 2))
+        if not trial_cost <= cost:
+            break
+        x, cost = trial, trial_cost
+        if np.max(np.abs(move) / size) < 1e-10:
+            break
+    return x, float(0.5 * np.sum(problem.residuals(x) ** 2))
+
+
+def _finish(
+    problem: Problem, values: np.ndarray, cost: float, costs: Sequence[float], method: str
+) -> Fit:
+    costs = np.asarray(costs, float)
+    agreeing = int(np.sum(costs <= cost * (1 + 1e-3) + 1e-9))
+    return Fit(
+        problem.names, values, cost, at_bounds(problem, values), costs, agreeing, method
+    )

@@ -1,0 +1,131 @@
+"""Proposals that do not depend on where a walker stands: multivariate t and mixtures of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.special import gammaln, logsumexp
+from sklearn.mixture import GaussianMixture
+
+_MOST_REDRAWS = 200
+
+
+@dataclass(frozen=True, eq=False)
+class StudentMixture:
+    """Mixture of multivariate t densities, cut to a box by redrawing what falls outside.
+
+    The cut changes the density inside only by a constant, which Metropolis-Hastings ratios and
+    normalised importance weights do not see.
+
+    Attributes
+    ----------
+    weights : array, shape (c,)
+    means : array, shape (c, k)
+    factors : array, shape (c, k, k)
+        Lower Cholesky factors of the scale matrices.
+    df : float
+        Degrees of freedom: heavy tails are what makes an independence sampler safe.
+    lower, upper : array, shape (k,)
+        The box.
+    """
+
+    weights: np.ndarray
+    means: np.ndarray
+    factors: np.ndarray
+    df: float
+    lower: np.ndarray
+    upper: np.ndarray
+
+    def draw(self, n: int, random: np.random.RandomState) -> np.ndarray:
+        """Draw points inside the box, shape (n, k).
+
+        Raises
+        ------
+        RuntimeError
+            Where hardly any of the density lies in the box.
+        """
+        points = self._draw_uncut(n, random)
+        for _ in range(_MOST_REDRAWS):
+            outside = ~np.all((points >= self.lower) & (points <= self.upper), axis=1)
+            if not outside.any():
+                return points
+            points[outside] = self._draw_uncut(int(outside.sum()), random)
+        raise RuntimeError("hardly any of the proposal lies inside the prior's bounds")
+
+    def log_density(self, points: np.ndarray) -> np.ndarray:
+        """Log density inside the box, up to a constant, shape (n,)."""
+        k = self.means.shape[1]
+        terms = []
+        for weight, mean, factor in zip(self.weights, self.means, self.factors, strict=True):
+            z = np.linalg.solve(factor, (points - mean).T)
+            squared = np.sum(z**2, axis=0)
+            log_scale = np.sum(np.log(np.diag(factor)))
+            terms.append(
+                np.log(weight)
+                - log_scale
+                - 0.5 * (self.df + k) * np.log1p(squared / self.df)
+            )
+        normalisation = gammaln(0.5 * (self.df + k)) - gammaln(0.5 * self.df)
+        return logsumexp(terms, axis=0) + normalisation - 0.5 * k * np.log(self.df * np.pi)
+
+    def _draw_uncut(self, n: int, random: np.random.RandomState) -> np.ndarray:
+        k = self.means.shape[1]
+        component = random.choice(len(self.weights), size=n, p=self.weights)
+        normal = random.standard_normal((n, k))
+        stretch = np.sqrt(self.df / random.chisquare(self.df, n))
+        return self.means[component] + stretch[:, None] * np.einsum(
+            "nij,nj->ni", self.factors[component], normal
+        )
+
+
+def laplace_t(
+    optimum: np.ndarray, precision: np.ndarray, lower: np.ndarray, upper: np.ndarray
+) -> StudentMixture:
+    """Multivariate t (5 degrees of freedom) with the shape of the posterior's top.
+
+    Directions that the data leave open, or that the Hessian bends upwards, get the width of the
+    prior's box, or a thousand times the parameter's size where there is no box.
+
+    Parameters
+    ----------
+    optimum : array, shape (k,)
+    precision : array, shape (k, k)
+        Hessian of the negative log posterior.
+    lower, upper : array, shape (k,)
+    """
+    widest = np.where(np.isfinite(upper - lower), upper - lower, 1e3 * np.abs(optimum) + 1e-9)
+    # In units of the narrowest curvature per parameter the eigenvalues are comparable.
+    size = 1 / np.sqrt(np.maximum(np.abs(np.diag(precision)), 1 / widest**2))
+    values, vectors = np.linalg.eigh(precision * np.outer(size, size))
+    floor = np.einsum("i,ij->j", (size / widest) ** 2, vectors**2)
+    factor = (size[:, None] * vectors) / np.sqrt(np.maximum(values, floor))
+    return StudentMixture(
+        np.ones(1),
+        optimum[None].astype(float),
+        np.linalg.cholesky(factor @ factor.T)[None],
+        5.0,
+        lower,
+        upper,
+    )
+
+
+def fitted_mixture(
+    points: np.ndarray, lower: np.ndarray, upper: np.ndarray, *, components: int = 6, seed: int
+) -> StudentMixture:
+    """Mixture of t densities (8 degrees of freedom) fitted to draws from a pilot run.
+
+    Parameters
+    ----------
+    points : array, shape (n, k)
+    lower, upper : array, shape (k,)
+    components : int
+    seed : int
+    """
+    centre, size = points.mean(axis=0), points.std(axis=0)
+    mixture = GaussianMixture(components, random_state=seed, reg_covar=1e-6, max_iter=200)
+    mixture.fit((points - centre) / size)
+    # A little wider than the fit: a proposal that is too narrow gets stuck, one too wide does not.
+    factors = np.sqrt(1.2) * size[:, None] * np.linalg.cholesky(mixture.covariances_)
+    means = centre + size * mixture.means_
+    return StudentMixture(mixture.weights_, means, factors, 8.0, lower, upper)

@@ -1,0 +1,343 @@
+"""How well each parameter is known, read in every usual way, and whether the quadratic one holds."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from identifiability.inference.curvature import Curvature, curvature
+from identifiability.inference.fitting import Fit, fit
+from identifiability.inference.problem import Problem
+from identifiability.inference.profiles import Profile, Side, profile
+from identifiability.inference.quadrature import Moments, quadrature
+from identifiability.inference.sampling import Posterior, sample
+
+Verdict = Literal[
+    "agrees", "truncated", "curved", "heavy-tailed", "non-identifiable", "not converged"
+]
+# From good news to bad; a problem's verdict is the worst of its parameters'.
+VERDICTS: tuple[Verdict, ...] = (
+    "agrees",
+    "curved",
+    "heavy-tailed",
+    "truncated",
+    "non-identifiable",
+    "not converged",
+)
+
+# Conventions: widths are quoted to a tenth of their size, and interval ends to a quarter of a
+# standard deviation. A Gaussian's 95 % interval is 1.97 times as long as its 68.27 % one, a t
+# with five degrees of freedom's 2.33 times; heavy tails begin half-way between.
+WIDTH_TOLERANCE = 0.10
+END_TOLERANCE = 0.25
+HEAVY_TAIL = 2.15
+_P68, _P95 = 0.6827, 0.95
+
+
+@dataclass(frozen=True)
+class Width:
+    """Widths of one parameter, in its unit, and the verdict on the quadratic one.
+
+    Attributes
+    ----------
+    name, unit : str
+    optimum : float
+    slice : float
+        Standard deviation with all other parameters held at the optimum.
+    quadratic : float
+        From the full Hessian: the paper's estimate. NaN where the Hessian has no maximum.
+    gauss_newton : float
+        From J'J.
+    sandwich : float
+        ``H^-1 J'J H^-1``: scatter of the optimum over repeated measurements.
+    profile : float
+        Half the 68 % profile interval.
+    profile_68, profile_95 : (float, float)
+    profile_sides : (str, str)
+        How the 95 % interval ends below and above: "closed", "bound" or "open".
+    pinned : tuple of str
+        Other parameters on a bound within the 95 % profile interval.
+    posterior_mean, posterior_sd, posterior_sd_mcse : float
+    posterior_68, posterior_95 : (float, float)
+        Equal-tailed intervals.
+    quadrature_mean, quadrature_sd : float
+        From deterministic integration; NaN where that was not done.
+    rhat, ess_bulk, ess_tail : float
+    verdict : str
+    reason : str
+    """
+
+    name: str
+    unit: str
+    optimum: float
+    slice: float
+    quadratic: float
+    gauss_newton: float
+    sandwich: float
+    profile: float
+    profile_68: tuple[float, float]
+    profile_95: tuple[float, float]
+    profile_sides: tuple[Side, Side]
+    pinned: tuple[str, ...]
+    posterior_mean: float
+    posterior_sd: float
+    posterior_sd_mcse: float
+    posterior_68: tuple[float, float]
+    posterior_95: tuple[float, float]
+    quadrature_mean: float
+    quadrature_sd: float
+    rhat: float
+    ess_bulk: float
+    ess_tail: float
+    verdict: Verdict
+    reason: str
+
+
+@dataclass(frozen=True, eq=False)
+class Widths:
+    """Everything that was learnt about the widths of a problem's parameters.
+
+    Attributes
+    ----------
+    rows : tuple of Width
+        One a parameter.
+    fit : Fit
+    curvature : Curvature
+    profiles : tuple of Profile
+    posterior : Posterior
+    moments : Moments or None
+        The quadrature's, where there were at most three parameters.
+    """
+
+    rows: tuple[Width, ...]
+    fit: Fit
+    curvature: Curvature
+    profiles: tuple[Profile, ...]
+    posterior: Posterior
+    moments: Moments | None
+
+    def __getitem__(self, name: str) -> Width:
+        """Widths of a parameter by name."""
+        return self.rows[self.names.index(name)]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the parameters."""
+        return tuple(row.name for row in self.rows)
+
+    @property
+    def verdict(self) -> Verdict:
+        """The worst verdict of any parameter."""
+        return max((row.verdict for row in self.rows), key=VERDICTS.index)
+
+    @property
+    def reason(self) -> str:
+        """Reason of that verdict."""
+        return next(row.reason for row in self.rows if row.verdict == self.verdict)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain record of all widths, for JSON; what is not finite becomes ``None``."""
+        sampler = self.posterior
+        return {
+            "verdict": self.verdict,
+            "reason": self.reason,
+            "parameters": {row.name: _plain(asdict(row)) for row in self.rows},
+            "optimum": {
+                "cost": self.fit.cost,
+                "at_bound": list(self.fit.at_bound),
+                "starts": len(self.fit.costs),
+                "starts_agreeing": self.fit.n_agreeing,
+            },
+            "sampler": {
+                "step": sampler.step,
+                "reason": sampler.reason,
+                "acceptance": sampler.acceptance,
+                "ensembles": sampler.draws.shape[0],
+                "draws": int(np.prod(sampler.draws.shape[:2])),
+                "converged": sampler.converged,
+                "seed": sampler.seed,
+            },
+            "quadrature": None
+            if self.moments is None
+            else {
+                "log_evidence": _plain(self.moments.log_evidence),
+                "error": self.moments.error,
+                "evaluations": self.moments.n_evaluations,
+            },
+        }
+
+
+def widths(
+    problem: Problem,
+    *,
+    starts: np.ndarray,
+    seed: int,
+    referee: bool = True,
+    effort: float = 1.0,
+) -> Widths:
+    """Fit, differentiate, profile, sample, integrate and judge.
+
+    Parameters
+    ----------
+    problem : Problem
+    starts : array, shape (n_starts, k)
+        Starts of the fit.
+    seed : int
+        Of the sampler.
+    referee : bool
+        Whether to integrate by quadrature too, for at most three parameters.
+    effort : float
+        Factor on the sampler's number of steps.
+
+    Returns
+    -------
+    Widths
+    """
+    best = fit(problem, starts)
+    shape = curvature(problem, best.values)
+    profiles = tuple(profile(problem, best.values, name) for name in problem.names)
+    posterior = sample(problem, best.values, seed=seed, effort=effort)
+    moments = None
+    if referee and len(problem.names) <= 3:
+        moments = quadrature(problem, best.values)
+    rows = tuple(
+        _row(problem, i, best, shape, profiles[i], posterior, moments)
+        for i in range(len(problem.names))
+    )
+    return Widths(rows, best, shape, profiles, posterior, moments)
+
+
+def _row(
+    problem: Problem,
+    i: int,
+    best: Fit,
+    shape: Curvature,
+    path: Profile,
+    posterior: Posterior,
+    moments: Moments | None,
+) -> Width:
+    def sd(covariance: np.ndarray) -> float:
+        return float(np.sqrt(covariance[i, i])) if covariance[i, i] > 0 else float("nan")
+
+    def ends(pair: np.ndarray) -> tuple[float, float]:
+        return float(pair[0]), float(pair[1])
+
+    name = problem.names[i]
+    half, full = ends(posterior.interval(_P68)[:, i]), ends(posterior.interval(_P95)[:, i])
+    quadratic = sd(shape.covariance)
+    verdict, reason = judge(
+        name=name,
+        optimum=float(best.values[i]),
+        quadratic=quadratic,
+        posterior_sd=float(posterior.sd[i]),
+        posterior_68=half,
+        posterior_95=full,
+        sides=path.sides["95"],
+        bounds=(float(problem.lower[i]), float(problem.upper[i])),
+        pinned=path.pinned,
+        at_bound=best.at_bound,
+        converged=posterior.converged,
+    )
+    return Width(
+        name=name,
+        unit=problem.model.parameters[name].unit,
+        optimum=float(best.values[i]),
+        slice=float(shape.slice_sd[i]),
+        quadratic=quadratic,
+        gauss_newton=sd(shape.gauss_newton_covariance),
+        sandwich=sd(shape.sandwich_covariance),
+        profile=path.half_width,
+        profile_68=path.intervals["68"],
+        profile_95=path.intervals["95"],
+        profile_sides=path.sides["95"],
+        pinned=path.pinned,
+        posterior_mean=float(posterior.mean[i]),
+        posterior_sd=float(posterior.sd[i]),
+        posterior_sd_mcse=float(posterior.sd_mcse[i]),
+        posterior_68=half,
+        posterior_95=full,
+        quadrature_mean=float("nan") if moments is None else float(moments.mean[i]),
+        quadrature_sd=float("nan") if moments is None else float(moments.sd[i]),
+        rhat=float(posterior.rhat[i]),
+        ess_bulk=float(posterior.ess_bulk[i]),
+        ess_tail=float(posterior.ess_tail[i]),
+        verdict=verdict,
+        reason=reason,
+    )
+
+
+def judge(
+    *,
+    name: str,
+    optimum: float,
+    quadratic: float,
+    posterior_sd: float,
+    posterior_68: tuple[float, float],
+    posterior_95: tuple[float, float],
+    sides: tuple[Side, Side],
+    bounds: tuple[float, float],
+    pinned: tuple[str, ...],
+    at_bound: tuple[str, ...],
+    converged: bool,
+) -> tuple[Verdict, str]:
+    """Judge whether the quadratic width of one parameter describes its posterior, and why not.
+
+    The quadratic width agrees if the posterior's standard deviation lies within a tenth of it and
+    both ends of the 95 % interval within a quarter of it from where a Gaussian's would be. If not,
+    the first of these that holds is the reason: the likelihood closes the profile on neither side
+    (non-identifiable); a bound cuts it, the parameter's own or another's (truncated); the tails
+    are heavy; or the likelihood is not quadratic over the width of the posterior (curved).
+
+    Returns
+    -------
+    (verdict, reason)
+    """
+    if not converged:
+        return "not converged", "the sampler did not converge, so there is no posterior to judge by"
+    ratio = posterior_sd / quadratic
+    size = f"the posterior sd of {name} is {ratio:.2f} times the quadratic width"
+    if not np.isfinite(quadratic):
+        size = f"the Hessian gives no width for {name}"
+    shifts = np.abs(np.array(posterior_95) - (optimum + 1.96 * quadratic * np.array([-1, 1])))
+    if abs(ratio - 1) <= WIDTH_TOLERANCE and np.all(shifts <= END_TOLERANCE * quadratic):
+        return "agrees", f"{size} and its 95 % interval lies where a Gaussian's would"
+    if np.isfinite(quadratic) and abs(ratio - 1) <= WIDTH_TOLERANCE:
+        size += ", but its 95 % interval is shifted"
+    open_sides = [side != "closed" for side in sides]
+    if all(open_sides):
+        return "non-identifiable", f"{size}: the data bound {name} neither below nor above"
+    if any(open_sides):
+        below = open_sides[0]
+        if sides[0 if below else 1] == "open":
+            end = "below" if below else "above"
+            return "non-identifiable", f"{size}: the data do not bound {name} {end}"
+        sign, bound = (">=", bounds[0]) if below else ("<=", bounds[1])
+        return "truncated", f"{size}: the bound {name} {sign} {bound:g} cuts its 95 % interval"
+    others = [other for other in at_bound if other != name]
+    if others:
+        return "truncated", f"{size}: the optimum lies on a bound of {' and '.join(others)}"
+    if pinned:
+        return (
+            "truncated",
+            f"{size}: within its 95 % interval {' and '.join(pinned)} runs into a bound",
+        )
+    stretch = (posterior_95[1] - posterior_95[0]) / (posterior_68[1] - posterior_68[0])
+    if stretch > HEAVY_TAIL:
+        return (
+            "heavy-tailed",
+            f"{size}: its 95 % interval is {stretch:.2f} times its 68 % one, a Gaussian's 1.96",
+        )
+    return "curved", f"{size}: the likelihood is not quadratic over the width of the posterior"
+
+
+def _plain(value: Any) -> Any:
+    """Numbers that JSON has no word for as ``None``, tuples as lists."""
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, float):
+        return value if np.isfinite(value) else None
+    return value

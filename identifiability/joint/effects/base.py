@@ -1,0 +1,90 @@
+"""What every physical effect declares, and the signals it sees."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import ClassVar, Literal, NamedTuple
+
+import jax.numpy as jnp
+from jax import Array
+from jax.typing import ArrayLike
+
+from identifiability.joint.parameters import Parameter
+
+
+class Motion(NamedTuple):
+    """Angle [rad] and angular velocity [rad/s] that an effect sees."""
+
+    angle: ArrayLike
+    velocity: ArrayLike
+
+
+class Effect(ABC):
+    """A physical effect that can be added to a joint model with ``+``.
+
+    A subclass states its parameters and where it acts; the model does the rest. ``place`` is
+
+    ``"joint"``
+        a torque in parallel with everything else that spans the joint; it sees the joint's motion;
+    ``"muscle"``
+        a torque in parallel with K and B, and like them in series with a tendon, if there is one;
+        it sees the motion of the contractile element;
+    ``"series"``
+        an elastic element between the muscle and the joint; ``torque`` is its torque at a stretch
+        (in rad) and has no states of its own.
+
+    Class attributes
+    ----------------
+    key : stable name used in reports and parameter names
+    parameters : the effect's parameters
+    place : see above
+    linear : whether torque and rates are linear in motion and states
+    n_states : number of the effect's own states
+    references : where the equations come from
+    """
+
+    key: ClassVar[str]
+    parameters: ClassVar[tuple[Parameter, ...]]
+    place: ClassVar[Literal["joint", "muscle", "series"]]
+    linear: ClassVar[bool]
+    n_states: ClassVar[int] = 0
+    references: ClassVar[tuple[str, ...]] = ()
+
+    @abstractmethod
+    def torque(self, p: Sequence[Array], motion: Motion, states: Array, delayed: Motion) -> ArrayLike:
+        """Torque with which the effect resists the motion.
+
+        Parameters
+        ----------
+        p : sequence of scalars
+            The effect's parameters, in the order of ``parameters``.
+        motion : Motion
+            Present angle [rad] and velocity [rad/s].
+        states : array, shape (n_states,)
+            The effect's own states.
+        delayed : Motion
+            The joint's motion ``delay(p)`` seconds ago (at rest before the record begins).
+
+        Returns
+        -------
+        scalar
+            Torque [Nm], positive where it opposes a positive angle.
+        """
+
+    def rates(self, p: Sequence[Array], motion: Motion, states: Array, delayed: Motion) -> Array:
+        """Time derivatives of the effect's states, shape (n_states,); arguments as in `torque`."""
+        return jnp.zeros(0)
+
+    def delay(self, p: Sequence[Array]) -> ArrayLike | None:
+        """Delay [s] of the motion passed as ``delayed``; ``None`` for an effect without delay."""
+        return None
+
+    def __eq__(self, other: object) -> bool:
+        return type(self) is type(other)
+
+    def __hash__(self) -> int:
+        return hash(type(self))
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}()"

@@ -1,0 +1,44 @@
+"""A linear tendon in series with the muscle."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from jax import Array
+from jax.typing import ArrayLike
+
+from identifiability.joint.effects.base import Effect, Motion
+from identifiability.joint.parameters import Parameter
+
+
+class SeriesTendon(Effect):
+    r"""Elastic tendon between the contractile element and the skeleton.
+
+    With it K and B become those of the contractile element, and the joint is the third-order
+    musculoskeletal model of Kistemaker & Rozendaal (2011), Eq. 1:
+
+    .. math:: Z(s) = \frac{(K + B s) K_{SE}}{K + B s + K_{SE}} + I s^2
+
+    The tendon vanishes as its stiffness goes to infinity.
+    """
+
+    key = "series_tendon"
+    place = "series"
+    linear = True
+    parameters = (
+        Parameter(
+            "stiffness",
+            r"K_\mathrm{SE}",
+            "Nm/rad",
+            nominal=200.0,
+            lower=1.0,
+            upper=20000.0,
+            null=float("inf"),
+            description="stiffness of the tendon as seen at the joint",
+        ),
+    )
+    references = ("Kistemaker & Rozendaal 2011, PLoS ONE 6(5): e19568, Eq. 1",)
+
+    def torque(self, p: Sequence[Array], motion: Motion, states: Array, delayed: Motion) -> ArrayLike:
+        """Torque [Nm] of the tendon at a stretch of ``motion.angle`` rad."""
+        return p[0] * motion.angle

@@ -1,0 +1,225 @@
+"""A joint model: inertia, damping, stiffness, and the effects added to them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax import Array
+from jax.typing import ArrayLike
+
+from identifiability.errors import InputError
+from identifiability.joint.effects.base import Effect, Motion
+from identifiability.joint.parameters import Parameter
+
+KBI_PARAMETERS = (
+    Parameter("K", "K", "Nm/rad", 50.0, 0.0, 2000.0, "stiffness"),
+    Parameter("B", "B", "Nms/rad", 1.0, 0.0, 50.0, "damping"),
+    Parameter("I", "I", "kg m²", 0.1, 0.005, 1.0, "inertia"),
+)
+
+
+class Reaction(NamedTuple):
+    """Torque [Nm] that resists a motion, and the rates of the model's internal states."""
+
+    torque: Array
+    rates: Array
+
+
+@dataclass(frozen=True)
+class Model:
+    """A joint: inertia, damping and stiffness, plus any number of effects.
+
+    Build it with ``KBI()`` and ``+``; it is immutable, hashable and holds no parameter values.
+    Parameters are always passed as a vector in the order of ``parameter_names``.
+
+    Attributes
+    ----------
+    effects : tuple of Effect
+        The effects, in the order of their keys.
+    """
+
+    effects: tuple[Effect, ...] = ()
+
+    def __add__(self, other: object) -> Model:
+        if not isinstance(other, Effect):
+            found = f"the class {other.__name__}" if isinstance(other, type) else f"{other!r}"
+            raise TypeError(
+                f"only effects can be added to a joint model, found {found}; "
+                "write for example KBI() + SeriesTendon()"
+            )
+        if other.key in self.effect_keys:
+            raise InputError(f"the model already has the effect '{other.key}'; add it once")
+        # The order of addition must not change names or numbers, so effects are kept sorted.
+        return Model(tuple(sorted((*self.effects, other), key=lambda effect: effect.key)))
+
+    def without(self, key: str) -> Model:
+        """Return the model without the effect `key`.
+
+        Raises
+        ------
+        InputError
+            Where the model has no such effect.
+        """
+        if key not in self.effect_keys:
+            raise InputError(f"the model has no effect '{key}', it has {list(self.effect_keys)}")
+        return Model(tuple(effect for effect in self.effects if effect.key != key))
+
+    def __repr__(self) -> str:
+        return " + ".join(["KBI()", *(repr(effect) for effect in self.effects)])
+
+    @property
+    def effect_keys(self) -> tuple[str, ...]:
+        """Keys of the effects."""
+        return tuple(effect.key for effect in self.effects)
+
+    @property
+    def parameters(self) -> dict[str, Parameter]:
+        """Parameters by full name: ``K``, ``B``, ``I``, then ``effect_key.name``."""
+        named = {parameter.name: parameter for parameter in KBI_PARAMETERS}
+        for effect in self.effects:
+            named |= {f"{effect.key}.{p.name}": p for p in effect.parameters}
+        return named
+
+    @property
+    def parameter_names(self) -> tuple[str, ...]:
+        """Full names, in the order of the parameter vector."""
+        return tuple(self.parameters)
+
+    @property
+    def lower(self) -> np.ndarray:
+        """Lower physical bounds, shape (n_parameters,)."""
+        return np.array([p.lower for p in self.parameters.values()])
+
+    @property
+    def upper(self) -> np.ndarray:
+        """Upper physical bounds, shape (n_parameters,)."""
+        return np.array([p.upper for p in self.parameters.values()])
+
+    @property
+    def nominal(self) -> np.ndarray:
+        """Typical values, shape (n_parameters,)."""
+        return np.array([p.nominal for p in self.parameters.values()])
+
+    @property
+    def references(self) -> tuple[str, ...]:
+        """Sources of the equations of all effects."""
+        return tuple(ref for effect in self.effects for ref in effect.references)
+
+    def vector(self, values: Mapping[str, float]) -> np.ndarray:
+        """Parameter vector from values by name.
+
+        Raises
+        ------
+        InputError
+            Where a name is missing or unknown.
+        """
+        if set(values) != set(self.parameter_names):
+            raise InputError(
+                f"found values for {sorted(values)}, expected {list(self.parameter_names)}; "
+                "give exactly one value for each"
+            )
+        return np.array([float(values[name]) for name in self.parameter_names])
+
+    @property
+    def linear(self) -> bool:
+        """Whether the whole model is linear and without delay, so that it has exact responses."""
+        nominal = jnp.asarray(self.nominal)
+        return all(
+            effect.linear and effect.delay(p) is None
+            for effect, p in zip(self.effects, self._effect_parameters(nominal), strict=True)
+        )
+
+    @property
+    def n_internal(self) -> int:
+        """Number of states besides the joint's own angle and velocity."""
+        return int(self._has_tendon) + sum(effect.n_states for effect in self.effects)
+
+    def inertia(self, theta: ArrayLike) -> Array:
+        """Inertia [kg m²] of a parameter vector."""
+        return jnp.asarray(theta)[2]
+
+    def delays(self, theta: ArrayLike) -> list[Array | None]:
+        """Delay [s] of each effect, ``None`` where it has none."""
+        per_effect = self._effect_parameters(jnp.asarray(theta))
+        raw = [e.delay(p) for e, p in zip(self.effects, per_effect, strict=True)]
+        return [None if d is None else jnp.asarray(d) for d in raw]
+
+    def react(
+        self, theta: ArrayLike, motion: Motion, internal: Array, delayed: Sequence[Motion]
+    ) -> Reaction:
+        """Torque that resists a motion, without inertia.
+
+        Parameters
+        ----------
+        theta : array, shape (n_parameters,)
+        motion : Motion
+            Angle and velocity of the joint.
+        internal : array, shape (n_internal,)
+            Angle of the contractile element, if there is a tendon, then the effects' own states.
+        delayed : sequence of Motion
+            For each effect the motion of the joint one delay ago.
+
+        Returns
+        -------
+        Reaction
+        """
+        theta = jnp.asarray(theta)
+        stiffness, damping = theta[0], theta[1]
+        per_effect = self._effect_parameters(theta)
+        states, first = [], int(self._has_tendon)
+        for effect in self.effects:
+            states.append(internal[first : first + effect.n_states])
+            first += effect.n_states
+
+        def torque_of(place: str, seen: Motion) -> ArrayLike:
+            return sum(
+                effect.torque(p, seen, own, past)
+                for effect, p, own, past in zip(
+                    self.effects, per_effect, states, delayed, strict=True
+                )
+                if effect.place == place
+            )
+
+        def muscle(seen: Motion) -> ArrayLike:
+            return stiffness * seen.angle + damping * seen.velocity + torque_of("muscle", seen)
+
+        rates: list[Array] = []
+        contractile = motion
+        if self._has_tendon:
+            angle = internal[0]
+            tension = torque_of("series", Motion(motion.angle - angle, 0.0))
+            # The element moves such that it carries the tendon's torque. Its torque is affine in
+            # its velocity; without damping it would be a static balance, hence the tiny floor.
+            at_rest = muscle(Motion(angle, 0.0))
+            slope = jnp.maximum(muscle(Motion(angle, 1.0)) - at_rest, 1e-9)
+            contractile = Motion(angle, (tension - at_rest) / slope)
+            rates.append(jnp.reshape(contractile.velocity, (1,)))
+            torque = tension
+        else:
+            torque = muscle(motion)
+        torque = torque + torque_of("joint", motion)
+        for effect, p, own, past in zip(self.effects, per_effect, states, delayed, strict=True):
+            if effect.n_states:
+                seen = contractile if effect.place == "muscle" else motion
+                rates.append(jnp.asarray(effect.rates(p, seen, own, past)))
+        return Reaction(jnp.asarray(torque), jnp.concatenate([*rates, jnp.zeros(0)]))
+
+    @property
+    def _has_tendon(self) -> bool:
+        return any(effect.place == "series" for effect in self.effects)
+
+    def _effect_parameters(self, theta: Array) -> list[Array]:
+        parts, first = [], len(KBI_PARAMETERS)
+        for effect in self.effects:
+            parts.append(theta[first : first + len(effect.parameters)])
+            first += len(effect.parameters)
+        return parts
+
+
+def KBI() -> Model:  # noqa: N802 -- reads as the model's name in KBI() + SeriesTendon()
+    """Joint of inertia, damping and stiffness (Eq. 2): ``Z(s) = K + B s + I s²``."""
+    return Model()

@@ -1,0 +1,43 @@
+"""Named parameters with units, bounds and the value at which they vanish."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter of a joint model.
+
+    Attributes
+    ----------
+    name : str
+        Name inside its effect; the model prefixes it with the effect's key.
+    symbol : str
+        Mathtext symbol for figures, without dollar signs.
+    unit : str
+        SI unit, angles in rad.
+    nominal : float
+        A typical value, used where a start is needed and nothing better is known.
+    lower, upper : float
+        Physical bounds; the default prior is uniform between them.
+    description : str
+        What it is, in words.
+    null : float or None
+        Value at which the effect vanishes; ``None`` for the parameters of KBI itself.
+    """
+
+    name: str
+    symbol: str
+    unit: str
+    nominal: float
+    lower: float
+    upper: float
+    description: str
+    null: float | None = None
+
+    def __post_init__(self) -> None:
+        if not self.lower < self.upper:
+            raise ValueError(f"{self.name}: lower bound {self.lower} is not below {self.upper}")
+        if not self.lower <= self.nominal <= self.upper:
+            raise ValueError(f"{self.name}: nominal {self.nominal} lies outside its bounds")

@@ -1,0 +1,607 @@
+import hashlib
+import math
+import warnings
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from scipy import io
+
+from identifiability.errors import InputError
+from identifiability.measurement.readers import parse_columns, read_trial
+from identifiability.measurement.trials import Trial, onsets, quiet_lead
+from identifiability.measurement.units import parse_unit
+
+DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+REAL = DATA / "real"
+needs_real = pytest.mark.skipif(not REAL.is_dir(), reason="needs ../shared/data/real")
+
+TIME = np.arange(40) * 1e-3
+TORQUE = np.round(3.0 * np.sin(np.arange(40) / 5.0), 6)
+ANGLE = np.round(0.1 * np.cos(np.arange(40) / 7.0), 6)
+BY_INDEX = {"time": (0, "s"), "torque": (1, "Nm"), "angle": (2, "rad")}
+
+
+def text_of(*columns, header="time_s,torque_Nm,angle_rad", separator=",", decimal="."):
+    rows = [separator.join(repr(float(v)) for v in row) for row in zip(*columns, strict=True)]
+    if decimal == ",":
+        rows = [row.replace(".", ",") for row in rows]
+    return "\n".join([header, *rows] if header else rows) + "\n"
+
+
+def written(folder, text, name="trial.csv"):
+    path = folder / name
+    path.write_bytes(text if isinstance(text, bytes) else text.encode())
+    return path
+
+
+def assert_same(trial, torque=TORQUE, angle=ANGLE):
+    np.testing.assert_allclose(trial.time, TIME, atol=1e-12)
+    np.testing.assert_allclose(trial.torque, torque, atol=1e-12)
+    np.testing.assert_allclose(trial.angle, angle, atol=1e-12)
+
+
+# Units
+
+
+@pytest.mark.parametrize(
+    ("text", "quantity", "factor"),
+    [
+        ("s", "time", 1.0),
+        ("ms", "time", 1e-3),
+        ("µs", "time", 1e-6),
+        ("μs", "time", 1e-6),
+        ("min", "time", 60.0),
+        ("rad", "angle", 1.0),
+        ("mrad", "angle", 1e-3),
+        ("°", "angle", math.pi / 180),
+        ("Degrees", "angle", math.pi / 180),
+        (" deg ", "angle", math.pi / 180),
+        *((text, "torque", 1.0) for text in ("Nm", "N.m", "N*m", "N-m", "N m", "N_m", "N·m", "NM")),
+        ("nm", "torque", 1.0),
+        ("mNm", "torque", 1e-3),
+        ("mN m", "torque", 1e-3),
+        ("Nmm", "torque", 1e-3),
+        ("N.mm", "torque", 1e-3),
+        ("Ncm", "torque", 1e-2),
+        ("kN.m", "torque", 1e3),
+    ],
+)
+def test_spellings_of_units(text, quantity, factor):
+    assert parse_unit(text, quantity) == pytest.approx(factor, rel=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("text", "quantity", "sentence"),
+    [
+        ("Nm", "angle", "'Nm' is a unit of torque, where a unit of angle is needed.*rad, .*deg"),
+        ("deg", "time", "'deg' is a unit of angle, where a unit of time"),
+        ("furlong", "torque", "unit 'furlong' of torque is not known: write one of Nm, mNm"),
+        ("", "angle", "unit '' of angle is not known"),
+        ("MNm", "torque", "'MNm' of torque is not known"),  # mega, never milli
+        ("MS", "time", "'MS' of time is not known"),
+        ("rad/s", "angle", "'rad/s' of angle is not known"),
+    ],
+)
+def test_units_that_are_refused(text, quantity, sentence):
+    with pytest.raises(InputError, match=sentence):
+        parse_unit(text, quantity)
+
+
+# Columns from the command line
+
+
+def test_columns_by_name_and_by_index():
+    texts = ["time=time:s", "angle=position:deg", "torque=1:N.m"]
+    assert parse_columns(texts) == {
+        "time": ("time", "s"),
+        "angle": ("position", "deg"),
+        "torque": (1, "N.m"),
+    }
+    assert parse_columns(["angle=a=b:c:rad"]) == {"angle": ("a=b:c", "rad")}
+
+
+@pytest.mark.parametrize(
+    ("text", "sentence"),
+    [
+        ("angle", "'angle' does not name a column: write quantity=column:unit"),
+        ("angle=position", "does not name a column"),
+        ("angle=:rad", "does not name a column"),
+        ("force=1:Nm", "'force' is not a quantity"),
+        ("angle=1:Nm", "'Nm' is a unit of torque"),
+        ("angle=1:cubit", "unit 'cubit' of angle is not known"),
+    ],
+)
+def test_column_texts_that_are_refused(text, sentence):
+    with pytest.raises(InputError, match=sentence):
+        parse_columns([text])
+
+
+def test_a_quantity_named_twice_is_refused():
+    with pytest.raises(InputError, match="column of angle is named twice"):
+        parse_columns(["angle=1:rad", "angle=2:rad"])
+
+
+# Text files
+
+
+@pytest.mark.parametrize(
+    ("separator", "decimal"),
+    [(",", "."), (";", "."), (";", ","), ("\t", "."), ("\t", ","), (" ", "."), ("  ", ",")],
+)
+@pytest.mark.parametrize("with_header", [True, False])
+def test_separators_and_decimal_marks(tmp_path, separator, decimal, with_header):
+    header = separator.join(["time_s", "torque_Nm", "angle_rad"]) if with_header else ""
+    text = text_of(TIME, TORQUE, ANGLE, header=header, separator=separator, decimal=decimal)
+    path = written(tmp_path, text, "walk.txt")
+    trial = read_trial(path, columns=None if with_header else BY_INDEX)
+    assert_same(trial)
+    assert (trial.name, trial.source, trial.notes) == ("walk", "walk.txt", ())
+    assert trial.sha256 == hashlib.sha256(text.encode()).hexdigest()
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        "time_s,torque_Nm,angle_rad",
+        "Time (s),Ankle torque (N.m),Ankle angle (rad)",
+        "t [s],tau [N m],theta [rad]",
+        "Time/s,Torque/Nm,Angle/rad",
+        '"time s","moment_N_m","position rad"',
+        "time_s,kneeTorque_Nm,kneeAngle_rad",
+    ],
+)
+def test_headers_with_units(tmp_path, header):
+    assert_same(read_trial(written(tmp_path, text_of(TIME, TORQUE, ANGLE, header=header))))
+
+
+def test_units_are_converted(tmp_path):
+    header = "time_ms,torque (mNm),angle [deg]"
+    text = text_of(TIME * 1e3, TORQUE * 1e3, np.degrees(ANGLE), header=header)
+    assert_same(read_trial(written(tmp_path, text)))
+
+
+def test_other_columns_do_not_disturb(tmp_path):
+    header = "velocity_rad_s,phase,time_s,angle_rad,torque_Nm"
+    lines = [f"{q},hold,{t},{q},{u}" for t, u, q in zip(TIME, TORQUE, ANGLE, strict=True)]
+    lines[3] = f"nan,,{TIME[3]},{ANGLE[3]},{TORQUE[3]}"
+    assert_same(read_trial(written(tmp_path, "\n".join([header, *lines]))))
+
+
+@pytest.mark.parametrize(
+    "disguise",
+    [
+        lambda text: b"\xef\xbb\xbf" + text.encode(),
+        lambda text: text.encode("utf-16"),
+        lambda text: text.replace("\n", "\r\n").encode(),
+        lambda text: ("# measured on Monday, at 3\n\n" + text + "# the end\n\n").encode(),
+        lambda text: text.replace("\n", ",\n").encode(),
+        lambda text: text.replace(",", " , ").encode(),
+    ],
+    ids=["BOM", "UTF-16", "CRLF", "comments", "trailing separator", "padding"],
+)
+def test_disguises_of_a_text_file(tmp_path, disguise):
+    assert_same(read_trial(written(tmp_path, disguise(text_of(TIME, TORQUE, ANGLE)))))
+
+
+def test_a_degree_sign_in_latin_1(tmp_path):
+    text = text_of(TIME, TORQUE, np.degrees(ANGLE), header="time_s,torque_Nm,angle (°)")
+    assert_same(read_trial(written(tmp_path, text.encode("latin-1"))))
+
+
+def test_rate_in_place_of_time(tmp_path):
+    path = written(tmp_path, text_of(TORQUE, ANGLE, header="torque_Nm,angle_rad"))
+    assert_same(read_trial(path, rate=1000.0))
+    assert_same(read_trial(written(tmp_path, text_of(TIME, TORQUE, ANGLE)), rate=1005.0))
+
+
+def test_restoring_torque_changes_sign(tmp_path):
+    path = written(tmp_path, text_of(TIME, -TORQUE, ANGLE))
+    trial = read_trial(path, restoring=True, name="knee", driven="angle")
+    assert_same(trial)
+    assert (trial.name, trial.driven) == ("knee", "angle")
+    assert "sign of torque changed" in trial.notes[-1]
+
+
+def test_a_rounded_clock_is_taken_as_even(tmp_path):
+    time = np.arange(400) / 610.35
+    wave = np.sin(20 * time)
+    trial = read_trial(written(tmp_path, text_of(np.round(time, 6), wave, 0.1 * wave)))
+    np.testing.assert_array_equal(trial.torque, wave)
+    assert trial.sampling_rate == pytest.approx(610.35, rel=1e-5)
+    assert "rounding of time undone" in trial.notes[0]
+
+
+def test_a_clock_that_counts_from_1970(tmp_path):
+    trial = read_trial(written(tmp_path, text_of(1.7e9 + TIME, TORQUE, ANGLE)))
+    np.testing.assert_allclose(trial.time, TIME, atol=1e-6)
+    np.testing.assert_array_equal(trial.angle, ANGLE)
+    assert "time counted from 1700000000 s" in trial.notes[0]
+
+
+def test_jitter_of_the_clock_is_resampled(tmp_path):
+    rng = np.random.default_rng(0)
+    steps = 2e-3 * (1.0 + 0.02 * rng.uniform(-1, 1, 999))
+    time = np.concatenate([[0.0], np.cumsum(steps)])
+    path = written(tmp_path, text_of(time, np.sin(9 * time), 0.1 * np.cos(7 * time)))
+    trial = read_trial(path)
+    assert trial.dt == pytest.approx(np.median(steps), rel=1e-9)
+    np.testing.assert_allclose(trial.torque, np.sin(9 * trial.time), atol=1e-4)
+    np.testing.assert_allclose(trial.angle, 0.1 * np.cos(7 * trial.time), atol=1e-5)
+    assert "time steps varied by 2" in trial.notes[0]
+
+
+def changed(row, text):
+    """The file with one of its rows replaced, counted from 1 as an editor does."""
+    lines = text_of(TIME, TORQUE, ANGLE).splitlines()
+    lines[row - 1] = text
+    return "\n".join(lines)
+
+
+ALL = {"time": ("time_s", "s"), "torque": ("torque_Nm", "Nm"), "angle": ("angle_rad", "rad")}
+BARE = text_of(TIME, ANGLE, ANGLE, TORQUE, header="time,position,velocity,torque")
+NO_HEADER = text_of(TIME, TORQUE, ANGLE, header="")
+
+
+@pytest.mark.parametrize(
+    ("text", "options", "sentence"),
+    [
+        ("", {}, r"empty \(0 bytes\)"),
+        ("\n\n# nothing\n", {}, "no data"),
+        ("time_s,torque_Nm,angle_rad\n", {}, "header .* and no samples"),
+        (b"\x00\x01\x02,\x03", {}, "not a text file"),
+        (changed(7, "0.005,abc,0.1"), {}, "row 7, column 'torque_Nm': 'abc' is not a number"),
+        (changed(7, "0.005,,0.1"), {}, "row 7, column 'torque_Nm': the cell is empty"),
+        (changed(7, "0.005,1_0,0.1"), {}, "row 7, .*'1_0' is not a number"),
+        (changed(7, "0.005,0.1"), {}, "row 7 has 2 values, where the header has 3"),
+        (changed(7, "0.005,1,2,3"), {}, "row 7 has 4 values, where the header has 3"),
+        (changed(1, "0.0,0.1"), {"columns": BY_INDEX}, "row 2 has 3 values, where the first row"),
+        (changed(7, "0.003,1.0,0.1"), {}, "row 7: time must increase"),
+        (changed(7, "0.005,1.0,NaN"), {}, "row 7, column 'angle_rad': the value is nan"),
+        (changed(7, "0.005,-inf,0"), {}, "row 7, column 'torque_Nm': the value is -inf"),
+        (changed(7, "0.0052,1.0,0.1"), {}, "row 7: the time step is 0.0012 s where 0.001 s"),
+        (changed(7, "1e999,1.0,0.1"), {}, "row 7, column 'time_s': the value is inf"),
+        (
+            BARE,
+            {},
+            r"header \(time, position, velocity, torque\) does not tell .* --columns "
+            "time=time:s angle=position:rad torque=torque:Nm, with the units",
+        ),
+        (BARE, {"rate": 1000.0}, "write --columns angle=position:rad torque=torque:Nm"),
+        (
+            text_of(TORQUE, ANGLE, header="torque_Nm,angle (deg)"),
+            {},
+            "is time, .*--rate HZ --columns 'angle=angle .deg.:deg' torque=torque_Nm:Nm",
+        ),
+        (text_of(TORQUE, ANGLE, header="V1,V2"), {"rate": 9.0}, "angle=COLUMN:rad torque=COLUMN"),
+        (
+            text_of(TIME, TORQUE, ANGLE, header="time_s,torque_Nm,angle_Nm"),
+            {},
+            "does not tell which column is angle",
+        ),
+        (
+            text_of(TIME, TORQUE, ANGLE, ANGLE, header="time_s,torque_Nm,q_rad,pos_deg"),
+            {},
+            r"several columns may be angle \(q_rad, pos_deg\)",
+        ),
+        (NO_HEADER, {}, "no header: name the columns by index.*--columns angle=0:rad torque=1:Nm"),
+        (NO_HEADER, {"columns": ALL}, "no header, so no column is named 'time_s'"),
+        (
+            text_of(TIME, TORQUE, ANGLE),
+            {"columns": ALL | {"angle": ("knee", "rad")}},
+            "no column is named 'knee': the columns are time_s, torque_Nm, angle_rad",
+        ),
+        (
+            NO_HEADER,
+            {"columns": BY_INDEX | {"angle": (3, "rad")}},
+            "column 3 is out of range.*0 to",
+        ),
+        (NO_HEADER, {"columns": BY_INDEX | {"angle": (-1, "rad")}}, "column -1 is out of range"),
+        (NO_HEADER, {"columns": BY_INDEX | {"angle": (1, "rad")}}, "named for two quantities"),
+        (
+            text_of(TIME, TORQUE, ANGLE, header="a,b,b"),
+            {"columns": {"torque": ("b", "Nm"), "angle": ("a", "rad")}, "rate": 1.0},
+            "2 columns are named 'b'",
+        ),
+        (NO_HEADER, {"columns": {"torque": (1, "Nm"), "angle": (2, "rad")}}, "no time column and"),
+        (NO_HEADER, {"columns": BY_INDEX, "rate": 500.0}, "given as 500 Hz, but .* has 1000 Hz"),
+        (NO_HEADER, {"columns": BY_INDEX, "rate": -1.0}, "rate is -1.0 Hz, but must be above 0"),
+        (NO_HEADER, {"columns": BY_INDEX, "rate": math.nan}, "rate is nan Hz"),
+        (NO_HEADER, {"columns": BY_INDEX, "variable": "z"}, "only .mat files hold variables"),
+        (NO_HEADER, {"columns": BY_INDEX, "driven": "force"}, "driven is 'force'"),
+        (text_of(TIME[:1], TORQUE[:1], ANGLE[:1]), {}, "at least 3 samples, found 1"),
+        (text_of(TIME, TORQUE, 0 * ANGLE), {}, "angle is constant"),
+        (text_of(TIME, 0 * TORQUE, ANGLE), {}, "torque is constant"),
+        ("angle_rad\n1\n2\n3\n", {"rate": 1.0}, "does not tell which column is torque"),
+    ],
+)
+def test_bad_text_files_get_one_sentence(tmp_path, text, options, sentence):
+    path = written(tmp_path, text)
+    with pytest.raises(InputError, match=sentence) as caught:
+        read_trial(path, **options)
+    message = str(caught.value)
+    assert message.startswith("trial.csv: ")
+    assert "\n" not in message
+
+
+@pytest.mark.parametrize(
+    ("columns", "sentence"),
+    [
+        ({"angle": (0, "Nm"), "torque": (1, "Nm")}, "'Nm' is a unit of torque"),
+        ({"angle": (0, "rad")}, "no column is named for torque"),
+        ({}, "no column is named for angle and torque"),
+        ({"angle": "0:rad", "torque": (1, "Nm")}, "column of angle is given as '0:rad'"),
+        ({"force": (0, "N")}, "'force' is not a quantity"),
+    ],
+)
+def test_bad_columns_get_one_sentence(tmp_path, columns, sentence):
+    with pytest.raises(InputError, match=sentence):
+        read_trial(written(tmp_path, NO_HEADER), columns=columns)
+
+
+@pytest.mark.parametrize(
+    ("name", "sentence"),
+    [
+        ("missing.csv", "missing.csv: there is no such file"),
+        ("folder.csv", "folder.csv: this is a directory"),
+        ("notes.docx", "suffix '.docx' are not read: give one of .csv, .tsv, .txt, .dat, .mat"),
+        ("trial", "suffix '' are not read"),
+        ("nul\0.csv", "cannot be opened"),
+    ],
+)
+def test_paths_that_are_no_recording(tmp_path, name, sentence):
+    (tmp_path / "folder.csv").mkdir()
+    (tmp_path / "notes.docx").write_text("x")
+    with pytest.raises(InputError, match=sentence):
+        read_trial(tmp_path / name)
+
+
+# MATLAB files
+
+MATRIX = np.stack([ANGLE, TORQUE], axis=1)
+OF_MATRIX = {"angle": (0, "rad"), "torque": (1, "Nm")}
+OF_VECTORS = {"time": ("t", "s"), "angle": ("q", "rad"), "torque": ("u", "Nm")}
+VECTORS = {"t": TIME, "u": TORQUE, "q": ANGLE}
+
+
+def save_v73(path, variables):
+    """The layout of MATLAB v7.3: column-major matrices, structs as groups, text as char codes."""
+    with h5py.File(path, "w", userblock_size=512) as file:
+        for name, value in variables.items():
+            if isinstance(value, dict):
+                for field, vector in value.items():
+                    file[f"{name}/{field}"] = np.atleast_2d(vector)
+            elif isinstance(value, str):
+                file[name] = np.array([[ord(letter)] for letter in value], dtype=np.uint16)
+                file[name].attrs["MATLAB_class"] = np.bytes_(b"char")
+            else:
+                file[name] = np.atleast_2d(np.asarray(value).T)
+        file["#refs#/a"] = np.eye(3)
+
+
+@pytest.fixture(params=["v5", "v7.3"])
+def save(request, tmp_path):
+    def saved(variables):
+        path = tmp_path / "trial.mat"
+        if request.param == "v5":
+            io.savemat(path, variables)
+        else:
+            save_v73(path, variables)
+        return path
+
+    return saved
+
+
+def test_the_only_matrix_is_taken(save):
+    path = save({"z": MATRIX, "fs": 1000.0, "comment": "right ankle"})
+    trial = read_trial(path, columns=OF_MATRIX, rate=1000.0)
+    assert_same(trial)
+    assert trial.sha256 == hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def test_one_of_several_matrices_is_named(save):
+    path = save({"z": MATRIX, "y": MATRIX[:10]})
+    assert_same(read_trial(path, variable="z", columns=OF_MATRIX, rate=1000.0))
+
+
+def test_channels_in_rows_are_transposed(save):
+    trial = read_trial(save({"z": MATRIX.T}), columns=OF_MATRIX, rate=1000.0)
+    assert_same(trial)
+    assert "transposed" in trial.notes[0]
+
+
+@pytest.mark.parametrize("variable", [None, "rec"])
+def test_vectors_of_a_struct(save, variable):
+    path = save({"rec": VECTORS})
+    assert_same(read_trial(path, variable=variable, columns=OF_VECTORS))
+
+
+def test_separate_vectors(save):
+    assert_same(read_trial(save(VECTORS | {"z": np.eye(3)}), columns=OF_VECTORS))
+    named = {"time_s": TIME, "torque_Nm": TORQUE, "angle_rad": ANGLE}
+    assert_same(read_trial(save(named)))
+
+
+@pytest.mark.parametrize(
+    ("variables", "options", "sentence"),
+    [
+        ({"z": MATRIX}, {}, "a matrix has no header: .*--columns angle=0:rad torque=1:Nm"),
+        ({"z": MATRIX}, {"variable": "y"}, r"no numeric variable 'y' .* holds z \(40 x 2\)"),
+        ({"z": MATRIX, "y": MATRIX}, {"columns": OF_MATRIX}, r"name a variable; .*z \(40 x 2\)"),
+        ({"c": "text"}, {"columns": OF_MATRIX}, "no numeric matrix or struct"),
+        ({"q": ANGLE}, {"columns": OF_MATRIX}, "name a variable; the file holds q"),
+        ({"q": ANGLE}, {"columns": OF_MATRIX, "variable": "q"}, "one vector of 40 values"),
+        ({"z": MATRIX}, {"columns": OF_VECTORS}, "no header, so no column is named 't'"),
+        ({"r": VECTORS}, {}, r"header \(., ., .\) does not tell"),
+        (
+            {"r": VECTORS | {"q": ANGLE[:9]}},
+            {"columns": OF_VECTORS},
+            "lengths are time 40, angle 9, torque 40",
+        ),
+        (
+            {"z": np.where(MATRIX[4, 1] == MATRIX, np.nan, MATRIX)},
+            {"columns": OF_MATRIX, "rate": 1e3},
+            "row 5, column 1: the value is nan",
+        ),
+        ({"z": MATRIX}, {"columns": OF_MATRIX}, "no time column and no sampling rate"),
+    ],
+)
+def test_bad_matlab_files_get_one_sentence(save, variables, options, sentence):
+    path = save(variables)
+    with pytest.raises(InputError, match=sentence) as caught:
+        read_trial(path, **options)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("kept", [10, 200, 500, 3000])
+def test_a_damaged_matlab_file(save, kept):
+    path = save({"z": np.random.default_rng(0).standard_normal((400, 2))})
+    path.write_bytes(path.read_bytes()[:kept])
+    with pytest.raises(InputError, match=r"cannot be read as a MATLAB file|no numeric matrix"):
+        read_trial(path, columns=OF_MATRIX, rate=1000.0)
+
+
+# Sign
+
+
+def imposed_angle(sign):
+    time = np.arange(2000) * 1e-3
+    angle = 0.05 * np.sin(12 * time) + 0.02 * np.sin(60 * time)
+    rate = np.gradient(angle, 1e-3)
+    torque = 50.0 * angle + 1.0 * rate + 0.1 * np.gradient(rate, 1e-3)
+    return text_of(time, sign * torque, angle)
+
+
+@pytest.mark.parametrize(
+    ("sign", "restoring", "driven", "remedy"),
+    [
+        (-1, False, "angle", "add --restoring"),
+        (1, True, "angle", "leave --restoring out"),
+        (1, False, "angle", None),
+        (-1, True, "angle", None),
+        (-1, False, "torque", None),
+    ],
+)
+def test_a_suspicious_sign_is_told(tmp_path, sign, restoring, driven, remedy):
+    path = written(tmp_path, imposed_angle(sign))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        read_trial(path, restoring=restoring, driven=driven)
+    if remedy is None:
+        assert caught == []
+    else:
+        assert len(caught) == 1
+        assert "looks reversed" in str(caught[0].message)
+        assert remedy in str(caught[0].message)
+
+
+# Anything at all
+
+
+def read_or_refuse(path, content, **options):
+    path.write_bytes(content)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warnings.simplefilter("ignore", UserWarning)  # degrees, sign
+        try:
+            result = read_trial(path, **options)
+        except InputError as error:
+            result = str(error)
+    assert isinstance(result, Trial) or "\n" not in result
+
+
+@pytest.fixture(scope="module")
+def scratch(tmp_path_factory):
+    return tmp_path_factory.mktemp("scratch") / "any.csv"
+
+
+@settings(deadline=None, max_examples=150, derandomize=True)
+@given(content=st.binary(max_size=200))
+def test_random_bytes_give_a_trial_or_a_sentence(scratch, content):
+    read_or_refuse(scratch, content, columns=OF_MATRIX, rate=100.0)
+
+
+CELL = st.one_of(
+    st.floats(width=64).map(repr),
+    st.floats(-10, 10).map(lambda value: f"{value:.3f}"),
+    st.sampled_from(["", "x", "1,5", '"2"', "nan", "time_s", "1e308", "-1e-320", " 3 "]),
+)
+
+
+@settings(
+    deadline=None,
+    max_examples=300,
+    derandomize=True,
+    suppress_health_check=[HealthCheck.too_slow],
+)
+@given(
+    rows=st.lists(st.lists(CELL, min_size=2, max_size=4), min_size=3, max_size=8)
+    | st.lists(st.tuples(st.floats(width=64).map(repr), CELL, CELL), min_size=3, max_size=60),
+    separator=st.sampled_from([",", ";", "\t", " "]),
+    timed=st.booleans(),
+    driven=st.sampled_from(["torque", "angle"]),
+)
+def test_random_tables_give_a_trial_or_a_sentence(scratch, rows, separator, timed, driven):
+    content = "\n".join(separator.join(row) for row in rows).encode()
+    options = {"columns": BY_INDEX} if timed else {"columns": OF_MATRIX, "rate": 100.0}
+    read_or_refuse(scratch, content, driven=driven, **options)
+
+
+@settings(deadline=None, max_examples=100, derandomize=True)
+@given(
+    values=st.lists(st.tuples(st.floats(), st.floats()), min_size=60, max_size=80),
+    rate=st.floats(1e-300, 1e300),
+)
+def test_random_numbers_give_a_trial_or_a_sentence(scratch, values, rate):
+    content = "\n".join(f"{a!r},{b!r}" for a, b in values).encode()
+    read_or_refuse(scratch, content, columns=OF_MATRIX, rate=rate, driven="angle")
+
+
+# Real recordings
+
+
+@needs_real
+def test_the_ankle():
+    options = {"variable": "z", "columns": OF_MATRIX, "rate": 1000.0, "driven": "angle"}
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        trial = read_trial(REAL / "reklab_ankle_z.mat", restoring=True, **options)
+    assert trial.n_samples == 60000
+    assert trial.sha256.startswith("ca9d219c4431")
+    found = onsets(trial)
+    assert 220 <= found.size <= 240
+    assert np.median(np.diff(found)) == pytest.approx(250, abs=5)
+    moved = np.abs(trial.angle[np.minimum(found + 150, 59999)] - trial.angle[found])
+    assert moved.min() > 0.004
+    with pytest.warns(UserWarning, match="add --restoring"):
+        read_trial(REAL / "reklab_ankle_z.mat", **options)
+
+
+@needs_real
+def test_the_pendulum():
+    columns = parse_columns(["time=time:s", "angle=position:rad", "torque=torque:Nm"])
+    trial = read_trial(REAL / "dfki_pendulum_ddp.csv", columns=columns)
+    assert trial.sampling_rate == pytest.approx(500.0, rel=1e-3)
+    assert "time steps varied by 1 %" in trial.notes[0]
+    with pytest.raises(InputError, match="angle=position:rad torque=torque:Nm"):
+        read_trial(REAL / "dfki_pendulum_ddp.csv")
+
+
+@needs_real
+def test_the_silverbox():
+    columns = parse_columns(["torque=V1:Nm", "angle=V2:rad"])
+    trial = read_trial(REAL / "silverbox_SNLS80mV.csv", columns=columns, rate=610.35)
+    assert trial.n_samples == 131072
+    assert trial.torque[0] == 0.0057756
+    assert trial.angle[1] == 0.012971
+
+
+@pytest.mark.skipif(not (DATA / "practice").is_dir(), reason="needs ../shared/data/practice")
+def test_a_practice_trial():
+    trial = read_trial(DATA / "practice" / "p01" / "trial_01.csv")
+    assert trial.sampling_rate == pytest.approx(1000.0)
+    assert quiet_lead(trial) == 50
+    assert trial.torque.max() == 60.0
