@@ -50,9 +50,14 @@ def to_datatree(problem: Problem, result: Widths) -> xarray.DataTree:
         ),
         "sample_stats": xarray.Dataset({"lp": (("chain", "draw"), posterior.log_probability)}),
         "observed_data": xarray.Dataset(
-            {f"response_{i}": (f"sample_{i}", o.measured) for i, o in enumerate(problem.observations)}
+            {
+                f"response_{i}": (f"sample_{i}", o.measured)
+                for i, o in enumerate(problem.observations)
+            }
         ),
-        "optimum": xarray.Dataset({"value": ("parameter", result.fit.values)}, {"parameter": names}),
+        "optimum": xarray.Dataset(
+            {"value": ("parameter", result.fit.values)}, {"parameter": names}
+        ),
         "laplace": xarray.Dataset(
             {
                 "hessian": (square, shape.hessian),

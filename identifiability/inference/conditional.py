@@ -16,7 +16,7 @@ import numpy as np
 from jax import Array
 
 from identifiability.inference.problem import (
-    Observation,
+    Data,
     Problem,
     Program,
     pad,
@@ -24,7 +24,8 @@ from identifiability.inference.problem import (
 )
 
 _ITERATIONS, _MOST_ROUNDS = 5, 12
-_CONVERGED = 1e-9  # predicted decrease of the cost, in units of log likelihood
+_SIZES = (64, 512)
+_CONVERGED = 1e-7  # predicted decrease of the cost, in units of log likelihood
 
 
 class _State(NamedTuple):
@@ -76,15 +77,18 @@ def conditional_optima(problem: Problem, held: tuple[int, ...], points: np.ndarr
     n, k = points.shape
     found = Conditional(points.copy(), np.empty(n), np.empty((n, k)), np.empty((n, k, k)))
     damping = np.full(n, 1e-3)
+    moves = np.array([i not in held for i in range(k)])
     undone = np.arange(n)
+    sizes = tuple(size for size in _SIZES if size <= problem.batches[-1])
+    largest = sizes[-1]
     # A few stubborn points must not keep thousands of finished ones in the batch.
     for _ in range(_MOST_ROUNDS):
-        for first in range(0, undone.size, problem.batch):
-            chunk = undone[first : first + problem.batch]
-            padded = pad(chunk)
+        for first in range(0, undone.size, largest):
+            chunk = undone[first : first + largest]
+            padded = pad(chunk, sizes)
             solved, strength, done = _solve(
                 problem.program,
-                held,
+                moves,
                 found.points[padded],
                 damping[padded],
                 problem.lower,
@@ -95,28 +99,24 @@ def conditional_optima(problem: Problem, held: tuple[int, ...], points: np.ndarr
             for target, values in zip(found, solved, strict=True):
                 target[chunk] = np.asarray(values)[: chunk.size]
             damping[chunk] = np.asarray(strength)[: chunk.size]
-            undone[first : first + problem.batch] = np.where(
-                np.asarray(done)[: chunk.size], -1, chunk
-            )
+            undone[first : first + largest] = np.where(np.asarray(done)[: chunk.size], -1, chunk)
         undone = undone[undone >= 0]
         if undone.size == 0:
             break
     return found
 
 
-@partial(jax.jit, static_argnums=(0, 1))
+@partial(jax.jit, static_argnums=0)
 def _solve(
     program: Program,
-    held: tuple[int, ...],
+    moves: Array,
     points: Array,
     dampings: Array,
     lower: Array,
     upper: Array,
     template: Array,
-    data: tuple[Observation, ...],
-) -> tuple[Conditional, Array, Array]:
-    moves = jnp.array([i not in held for i in range(points.shape[1])])
-
+    data: Data,
+) -> tuple[tuple[Array, ...], Array, Array]:
     def linearise(x: Array) -> tuple[Array, Array, Array]:
         def along(direction: Array) -> tuple[Array, Array]:
             return jax.jvp(lambda y: whitened(program, y, template, data), (x,), (direction,))
@@ -139,21 +139,29 @@ def _solve(
         trial = jnp.clip(x + size * step, lower, upper)
         cost, trial_gradient, trial_information = linearise(trial)
         better = cost <= state.cost
-        pick = partial(jnp.where, better)
+        # Where residuals are large the Gauss-Newton step overshoots; the damping that cures this
+        # must be kept, not relaxed after every success: Marquardt's gain ratio decides.
+        predicted = -descent @ step - 0.5 * step @ (scaled @ step)
+        gain = (state.cost - cost) / jnp.maximum(predicted, 1e-300)
+        factor = jnp.where(gain > 0.75, 0.2, jnp.where(gain < 0.25, 4.0, 1.0))
+
+        def pick(new: Array, old: Array) -> Array:
+            return jnp.where(better, new, old)
+
         return _State(
             pick(trial, x),
             pick(cost, state.cost),
             pick(trial_gradient, gradient),
             pick(trial_information, information),
-            jnp.clip(pick(state.damping / 8, state.damping * 6), 1e-12, 1e12),
+            jnp.clip(state.damping * factor, 1e-12, 1e12),
             state.iterations + 1,
             (-descent @ step < _CONVERGED) | (state.damping > 1e9),
         )
 
-    def solve(start: Array, damping: Array) -> tuple[Conditional, Array, Array]:
+    def solve(start: Array, damping: Array) -> tuple[tuple[Array, ...], Array, Array]:
         state = _State(start, *linearise(start), damping, jnp.asarray(0), jnp.asarray(False))
         state = jax.lax.while_loop(lambda s: ~s.done & (s.iterations < _ITERATIONS), iterate, state)
-        found = Conditional(state.x, -state.cost, state.gradient, state.information)
+        found = (state.x, -state.cost, state.gradient, state.information)
         return found, state.damping, state.done
 
     return jax.vmap(solve)(points, dampings)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -164,7 +163,9 @@ def _inside(problem: Problem, points: np.ndarray) -> np.ndarray:
     return np.clip(points, lower + margin, upper - margin)
 
 
-def _newton(problem: Problem, x: np.ndarray, cost: float, steps: int = 8) -> tuple[np.ndarray, float]:
+def _newton(
+    problem: Problem, x: np.ndarray, cost: float, steps: int = 8
+) -> tuple[np.ndarray, float]:
     """Newton steps within the face of active bounds, kept only while they lower the cost."""
     for _ in range(steps):
         residuals, jacobian = problem.residuals(x), problem.jacobian(x)
@@ -194,10 +195,7 @@ def _newton(problem: Problem, x: np.ndarray, cost: float, steps: int = 8) -> tup
 
 
 def _finish(
-    problem: Problem, values: np.ndarray, cost: float, costs: Sequence[float], method: str
+    problem: Problem, values: np.ndarray, cost: float, costs: np.ndarray, method: str
 ) -> Fit:
-    costs = np.asarray(costs, float)
     agreeing = int(np.sum(costs <= cost * (1 + 1e-3) + 1e-9))
-    return Fit(
-        problem.names, values, cost, at_bounds(problem, values), costs, agreeing, method
-    )
+    return Fit(problem.names, values, cost, at_bounds(problem, values), costs, agreeing, method)

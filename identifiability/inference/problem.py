@@ -15,53 +15,57 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
+from jax.typing import ArrayLike
 
 from identifiability.errors import InputError
 from identifiability.joint.integrator import integrate
 from identifiability.joint.model import Model
-from identifiability.joint.response import DriveArrays, drive_arrays, exact_response
+from identifiability.joint.response import exact_response
 from identifiability.measurement.noise import Noise
 from identifiability.measurement.perturbations import Drive
 
-# Batches are padded to one of these sizes, so that three compilations serve any number of points.
-BATCHES = (64, 512, 4096)
+# Batches are padded to one of a few sizes, so that a few compilations serve any number of points.
+# A batch of long records is kept small: what does not fit the processor's cache is slower.
+_SMALL_BATCH, _BATCHES = 64, (512, 4096)
+_MOST_ELEMENTS = 2**21
 
 
-class Observation(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Observation:
     """One measured response, and how its residual is whitened.
 
-    With r the residual at the selected samples, the whitened residual is
-    ``scale * (r - carry * previous r)``, freed of an unknown constant in each segment.
+    With r the residual, the whitened residual is ``scale * (r - carry * r[previous])``, freed of an
+    unknown constant in each segment. Samples that are not compared have a scale of 0.
 
     Attributes
     ----------
-    drive : tuple of arrays
-        The imposed signal.
-    fine : array
-        The same within each interval, for models that are integrated; else of size 0.
-    select : array of int, shape (k,)
-        Samples of the response that are compared.
-    measured : array, shape (k,)
-        What was measured there: angle [rad] or torque [Nm].
-    scale, carry : array, shape (k,)
-        Whitening of first-order autoregressive noise; carry is 0 where a stretch of samples begins.
-    constant : array, shape (k,)
-        A constant offset, whitened and normalised within each segment; of size 0 without offsets.
-    segment : array of int, shape (k,)
+    drive : Drive
+        The imposed signal, n samples.
+    measured : array, shape (n,)
+        Response: angle [rad] to a torque, torque [Nm] to an angle.
+    scale, carry : array, shape (n,)
+        Whitening of first-order autoregressive noise; carry is 0 where a stretch begins.
+    previous : array of int, shape (n,)
+        The compared sample before each sample.
+    constant : array, shape (n,)
+        A constant offset, whitened and normalised within each segment; 0 without offsets.
+    segment : array of int, shape (n,)
         Segment that each sample belongs to.
-    offsets : array, shape (n_segments,)
-        Zeros, one for each offset to be profiled out.
+    n_offsets : int
+        Number of segments with an offset to be profiled out.
+    n_compared : int
+        Number of compared samples.
     """
 
-    drive: DriveArrays
-    fine: np.ndarray
-    select: np.ndarray
+    drive: Drive
     measured: np.ndarray
     scale: np.ndarray
     carry: np.ndarray
+    previous: np.ndarray
     constant: np.ndarray
     segment: np.ndarray
-    offsets: np.ndarray
+    n_offsets: int
+    n_compared: int
 
 
 def observe(
@@ -72,7 +76,6 @@ def observe(
     select: np.ndarray | None = None,
     weights: np.ndarray | None = None,
     segment: np.ndarray | None = None,
-    substeps: int | None = None,
 ) -> Observation:
     """Prepare a measured response for inference.
 
@@ -86,15 +89,12 @@ def observe(
         Of the response.
     select : array of int, shape (k,), optional
         Samples to compare, increasing; all by default. Where they skip samples the noise is
-        correlated over the gap as its correlation time says; where they skip more than ten
-        correlation times this is as good as independent.
+        correlated over the gap as its correlation time says.
     weights : array, shape (k,), optional
         Weight of each squared residual, such as those of a quadrature rule in time; 1 by default.
     segment : array of int, shape (k,), optional
         Number, from 0, of the stretch that each selected sample belongs to. Each stretch then has
         an unknown constant offset, which is profiled out. Without it there is no offset.
-    substeps : int, optional
-        Runge-Kutta steps per sample for a model without exact response.
 
     Returns
     -------
@@ -107,34 +107,87 @@ def observe(
     chosen = np.arange(n) if select is None else np.asarray(select, int)
     if chosen.size == 0 or chosen.min() < 0 or chosen.max() >= n or np.any(np.diff(chosen) < 1):
         raise InputError("the selected samples must be increasing and lie within the record")
+    stretches = np.zeros(chosen.size, int) if segment is None else np.asarray(segment, int)
+    begins = np.diff(stretches, prepend=-1) != 0
     gaps = np.diff(chosen, prepend=chosen[0]) * drive.interval
-    carry = np.array([noise.lag_correlation(gap) if gap > 0 else 0.0 for gap in gaps])
-    scale = 1.0 / (noise.sd * np.sqrt(1.0 - carry**2))
-    if weights is not None:
-        scale = scale * np.sqrt(weights)
-    constant = np.zeros(0)
-    stretches = np.zeros(chosen.size, int)
+    kept = np.array([noise.lag_correlation(gap) for gap in gaps])
+    kept[begins] = 0.0
+    sharp = np.sqrt(1.0 if weights is None else weights) / (noise.sd * np.sqrt(1.0 - kept**2))
+    level = np.zeros(chosen.size)
     n_offsets = 0
     if segment is not None:
-        stretches = np.asarray(segment, int)
         n_offsets = int(stretches.max()) + 1
-        # Where a stretch begins, the residual before it is not carried over.
-        begins = np.diff(stretches, prepend=-1) != 0
-        carry = np.where(begins, 0.0, carry)
-        scale = np.where(begins, 1.0 / noise.sd, scale)
-        constant = scale * (1.0 - carry)
-        constant /= np.sqrt(np.bincount(stretches, constant**2, n_offsets))[stretches]
+        level = sharp * (1.0 - kept)
+        level /= np.sqrt(np.bincount(stretches, level**2, n_offsets))[stretches]
+
+    def spread(values: np.ndarray) -> np.ndarray:
+        whole = np.zeros(n, values.dtype)
+        whole[chosen] = values
+        return whole
+
     return Observation(
-        drive_arrays(drive),
-        np.zeros((0, 0, 0)) if substeps is None else drive.refined(substeps),
-        chosen,
-        measured[chosen],
-        scale,
-        carry,
-        constant,
-        stretches,
+        drive,
+        measured,
+        spread(sharp),
+        spread(kept),
+        spread(np.concatenate([chosen[:1], chosen[:-1]])),
+        spread(level),
+        spread(stretches),
+        n_offsets,
+        chosen.size,
+    )
+
+
+class Data(NamedTuple):
+    """Observations stacked for compiled functions, padded to the longest; leading axis: trials."""
+
+    interval: Array
+    generator: Array
+    readout: Array
+    states: Array
+    impulses: Array
+    fine: Array
+    measured: Array
+    scale: Array
+    carry: Array
+    previous: Array
+    constant: Array
+    segment: Array
+    offsets: Array
+
+
+def _stack(observations: Sequence[Observation], substeps: int | None) -> Data:
+    drives = [o.drive for o in observations]
+    longest = max(len(d.states) for d in drives)
+
+    def padded(arrays: Sequence[np.ndarray]) -> np.ndarray:
+        stacked = np.zeros((len(arrays), longest, *arrays[0].shape[1:]), arrays[0].dtype)
+        for row, array in zip(stacked, arrays, strict=True):
+            row[: len(array)] = array
+        return stacked
+
+    # Offsets are numbered through all trials; their number is padded too, to compile less often.
+    firsts = np.cumsum([0, *(o.n_offsets for o in observations)])
+    n_offsets = 0 if firsts[-1] == 0 else 1 << int(firsts[-1] - 1).bit_length()
+    fine = np.zeros((len(drives), 0))
+    if substeps is not None:
+        fine = padded([d.refined(substeps) for d in drives])[:, : longest - 1]
+    arrays = (
+        np.array([d.interval for d in drives]),
+        drives[0].generator,
+        drives[0].readout,
+        padded([d.states for d in drives]),
+        padded([d.impulses for d in drives]),
+        fine,
+        padded([o.measured for o in observations]),
+        padded([o.scale for o in observations]),
+        padded([o.carry for o in observations]),
+        padded([o.previous for o in observations]),
+        padded([o.constant for o in observations]),
+        padded([o.segment + first for o, first in zip(observations, firsts[:-1], strict=True)]),
         np.zeros(n_offsets),
     )
+    return Data(*(jnp.asarray(array) for array in arrays))
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,6 +268,8 @@ class Problem:
                 f"found fixed parameters {sorted(unknown)}, expected some of "
                 f"{list(self.model.parameter_names)}"
             )
+        if len({o.drive.readout.shape for o in self.observations}) != 1:
+            raise InputError("the observations must all be driven alike, by torque or by angle")
 
     @cached_property
     def free(self) -> tuple[int, ...]:
@@ -240,12 +295,13 @@ class Problem:
     @cached_property
     def n_samples(self) -> int:
         """Number of compared samples."""
-        return sum(o.measured.size for o in self.observations)
+        return sum(o.n_compared for o in self.observations)
 
     @cached_property
-    def batch(self) -> int:
-        """Largest number of points that are computed at once, for the memory they take."""
-        return max(b for b in BATCHES if b == BATCHES[0] or b * self.n_samples <= 2**22)
+    def batches(self) -> tuple[int, ...]:
+        """Numbers of points that are computed at once."""
+        fitting = [b for b in _BATCHES if b * self.data.measured.size <= _MOST_ELEMENTS]
+        return tuple(fitting) or (_SMALL_BATCH,)
 
     @cached_property
     def template(self) -> np.ndarray:
@@ -261,9 +317,9 @@ class Problem:
         return Program(self.model, self.free, self.substeps)
 
     @cached_property
-    def data(self) -> tuple[Observation, ...]:
+    def data(self) -> Data:
         """The observations, as compiled functions take them."""
-        return tuple(self.observations)
+        return _stack(self.observations, self.substeps)
 
     def with_prior(self, prior: Prior) -> Problem:
         """Return the same problem with another prior."""
@@ -277,15 +333,16 @@ class Problem:
         return whole
 
     def responses(self, x: np.ndarray) -> list[np.ndarray]:
-        """Model responses at the selected samples of each observation."""
-        return [np.asarray(y) for y in _responses(self.program, x, self.template, self.data)]
+        """Model response of each observation, at all its samples."""
+        stacked = np.asarray(_responses(self.program, x, self.template, self.data))
+        return [y[: o.measured.size] for y, o in zip(stacked, self.observations, strict=True)]
 
     def residuals(self, x: np.ndarray) -> np.ndarray:
-        """Whitened residuals, model minus measurement, shape (n_samples,)."""
+        """Whitened residuals, model minus measurement; 0 at samples that are not compared."""
         return self._linearise(x)[0]
 
     def jacobian(self, x: np.ndarray) -> np.ndarray:
-        """Derivatives of the whitened residuals, shape (n_samples, n_free)."""
+        """Derivatives of the whitened residuals, shape (n_residuals, n_free)."""
         return self._linearise(x)[1]
 
     def _linearise(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -315,9 +372,9 @@ class Problem:
         """
         points = np.asarray(points, float)
         out = np.empty(len(points))
-        for first in range(0, len(points), self.batch):
-            chunk = np.arange(first, min(first + self.batch, len(points)))
-            padded = points[pad(chunk)]
+        for first in range(0, len(points), self.batches[-1]):
+            chunk = np.arange(first, min(first + self.batches[-1], len(points)))
+            padded = points[pad(chunk, self.batches)]
             values = _log_likelihoods(self.program, padded, self.template, self.data)
             out[chunk] = np.asarray(values)[: chunk.size]
         return out
@@ -331,51 +388,44 @@ class Problem:
         return np.where(inside, self.log_likelihood(safe), -np.inf)
 
 
-def pad(indices: np.ndarray) -> np.ndarray:
-    """Indices repeated up to the next size in `BATCHES`."""
-    return np.resize(indices, next(size for size in BATCHES if size >= indices.size))
+def pad(indices: np.ndarray, sizes: tuple[int, ...]) -> np.ndarray:
+    """Indices repeated up to the next of the sizes."""
+    return np.resize(indices, next(size for size in sizes if size >= indices.size))
 
 
-def _response(program: Program, theta: Array, observation: Observation) -> Array:
-    if program.substeps is None:
-        return exact_response(program.model, theta, observation.drive)
-    return integrate(
-        program.model, theta, observation.drive, observation.fine, program.substeps
-    )
+def _stacked_responses(program: Program, x: ArrayLike, template: ArrayLike, data: Data) -> Array:
+    theta = jnp.asarray(template).at[jnp.array(program.free)].set(jnp.asarray(x))
+
+    def respond(interval: Array, states: Array, impulses: Array, fine: Array) -> Array:
+        arrays = (interval, data.generator, data.readout, states, impulses)
+        if program.substeps is None:
+            return exact_response(program.model, theta, arrays)
+        return integrate(program.model, theta, arrays, fine, program.substeps)
+
+    return jax.vmap(respond)(data.interval, data.states, data.impulses, data.fine)
 
 
-def whitened(program: Program, x: Array, template: Array, data: tuple[Observation, ...]) -> Array:
-    """Whitened residuals of all observations, shape (n_samples,), traceable."""
-    theta = jnp.asarray(template).at[jnp.array(program.free)].set(x)
-    parts = []
-    for observation in data:
-        residual = _response(program, theta, observation)[observation.select] - observation.measured
-        previous = jnp.concatenate([jnp.zeros(1), residual[:-1]])
-        white = observation.scale * (residual - observation.carry * previous)
-        if observation.offsets.size:
-            sums = observation.offsets.at[observation.segment].add(observation.constant * white)
-            white = white - observation.constant * sums[observation.segment]
-        parts.append(white)
-    return jnp.concatenate(parts)
+def whitened(program: Program, x: ArrayLike, template: ArrayLike, data: Data) -> Array:
+    """Whitened residuals of all observations in one row, traceable."""
+    residual = _stacked_responses(program, x, template, data) - data.measured
+    before = jnp.take_along_axis(residual, jnp.asarray(data.previous), axis=1)
+    white = data.scale * (residual - data.carry * before)
+    if data.offsets.size:
+        sums = jnp.asarray(data.offsets).at[data.segment].add(data.constant * white)
+        white = white - data.constant * sums[data.segment]
+    return white.ravel()
 
 
-def _negative_log_likelihood(
-    program: Program, x: Array, template: Array, data: tuple[Observation, ...]
-) -> Array:
+def _negative_log_likelihood(program: Program, x: Array, template: Array, data: Data) -> Array:
     white = whitened(program, x, template, data)
     return 0.5 * white @ white
 
 
-@partial(jax.jit, static_argnums=0)
-def _responses(program: Program, x: Array, template: Array, data: tuple[Observation, ...]) -> list[Array]:
-    theta = jnp.asarray(template).at[jnp.array(program.free)].set(x)
-    return [_response(program, theta, o)[o.select] for o in data]
+_responses = jax.jit(_stacked_responses, static_argnums=0)
 
 
 @partial(jax.jit, static_argnums=0)
-def _linearised(
-    program: Program, x: Array, template: Array, data: tuple[Observation, ...]
-) -> tuple[Array, Array]:
+def _linearised(program: Program, x: Array, template: Array, data: Data) -> tuple[Array, Array]:
     def twice(point: Array) -> tuple[Array, Array]:
         white = whitened(program, point, template, data)
         return white, white
@@ -390,8 +440,6 @@ _hessian = jax.jit(
 
 
 @partial(jax.jit, static_argnums=0)
-def _log_likelihoods(
-    program: Program, points: Array, template: Array, data: tuple[Observation, ...]
-) -> Array:
+def _log_likelihoods(program: Program, points: Array, template: Array, data: Data) -> Array:
     values = jax.vmap(lambda x: -_negative_log_likelihood(program, x, template, data))(points)
     return jnp.where(jnp.isnan(values), -jnp.inf, values)

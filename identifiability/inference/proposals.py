@@ -62,12 +62,11 @@ class StudentMixture:
             squared = np.sum(z**2, axis=0)
             log_scale = np.sum(np.log(np.diag(factor)))
             terms.append(
-                np.log(weight)
-                - log_scale
-                - 0.5 * (self.df + k) * np.log1p(squared / self.df)
+                np.log(weight) - log_scale - 0.5 * (self.df + k) * np.log1p(squared / self.df)
             )
         normalisation = gammaln(0.5 * (self.df + k)) - gammaln(0.5 * self.df)
-        return logsumexp(terms, axis=0) + normalisation - 0.5 * k * np.log(self.df * np.pi)
+        mixed = terms[0] if len(terms) == 1 else logsumexp(terms, axis=0)
+        return mixed + normalisation - 0.5 * k * np.log(self.df * np.pi)
 
     def _draw_uncut(self, n: int, random: np.random.RandomState) -> np.ndarray:
         k = self.means.shape[1]

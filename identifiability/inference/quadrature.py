@@ -19,7 +19,7 @@ from identifiability.inference.problem import Problem
 from identifiability.inference.profiles import reach
 
 _DROP = 20.0  # what lies beyond weighs e^-20 = 2e-9
-_NODES = {1: (80,), 2: (80, 40), 3: (80, 40, 20)}
+_NODES = {1: (64,), 2: (48, 32), 3: (40, 28, 22)}
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,8 +108,18 @@ def _integrate(
         lower = np.maximum(points[:, held] - distances[0], problem.lower[held])
         upper = np.minimum(points[:, held] + distances[1], problem.upper[held])
         nodes, weights = _legendre(lower, upper, counts[held])
+        # Later parameters start on the ridge that the curvature predicts.
         spread = np.repeat(points, counts[held], axis=0)
+        moved = nodes.ravel() - spread[:, held]
         spread[:, held] = nodes.ravel()
+        later = list(range(held + 1, k))
+        if later:
+            information = solved.information[alive]
+            slope = np.linalg.solve(
+                information[:, later][:, :, later] + 1e-300 * np.eye(len(later)),
+                -information[:, later, held, None],
+            )[:, :, 0]
+            spread[:, later] += np.repeat(slope, counts[held], axis=0) * moved[:, None]
         points = spread
         log_weights = np.repeat(log_weights, counts[held]) + np.log(weights.ravel())
     log_density = problem.log_likelihood(points)

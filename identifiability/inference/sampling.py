@@ -32,7 +32,7 @@ ESS_LIMIT = 400.0
 EFFICIENCY_LIMIT = 0.25
 
 _TRIALS = 4096
-_WALKERS, _STEPS, _BURN = 128, 100, 20
+_WALKERS, _STEPS, _BURN = 512, 25, 5
 _PILOT_WALKERS, _PILOT_STEPS = 128, 400
 _DE_WALKERS, _DE_STEPS = 64, 2000
 
@@ -114,9 +114,7 @@ def sample(problem: Problem, optimum: np.ndarray, *, seed: int, effort: float = 
     """
     seeds = np.random.SeedSequence(seed).spawn(4)
     optimum = np.asarray(optimum, float)
-    proposal = laplace_t(
-        optimum, curvature(problem, optimum).hessian, problem.lower, problem.upper
-    )
+    proposal = laplace_t(optimum, curvature(problem, optimum).hessian, problem.lower, problem.upper)
     why = []
     start, efficiency = _try(problem, proposal, seeds[0])
     if efficiency >= EFFICIENCY_LIMIT:
@@ -166,7 +164,9 @@ def diagnose(
         warnings.simplefilter("ignore", FutureWarning)  # 0.x announces 1.x at every import
         import arviz
 
-    data = xarray.Dataset({name: (("chain", "draw"), draws[:, :, i]) for i, name in enumerate(names)})
+    data = xarray.Dataset(
+        {name: (("chain", "draw"), draws[:, :, i]) for i, name in enumerate(names)}
+    )
 
     def column(statistic: xarray.Dataset) -> np.ndarray:
         return np.array([float(statistic[name]) for name in names])
@@ -197,7 +197,9 @@ def _try(
     log_weights = problem.log_posterior(points) - proposal.log_density(points)
     weights = np.exp(log_weights - log_weights.max())
     weights /= weights.sum()
-    return points[random.choice(_TRIALS, _TRIALS, p=weights)], float(1 / np.sum(weights**2) / _TRIALS)
+    return points[random.choice(_TRIALS, _TRIALS, p=weights)], float(
+        1 / np.sum(weights**2) / _TRIALS
+    )
 
 
 def _independent(

@@ -114,9 +114,7 @@ def _torque_driven(
         carry, _ = jax.lax.scan(substep, _Carry(kicked, carry.history), (indices, per_step))
         return carry, kicked[0]
 
-    start = _Carry(
-        jnp.zeros(2 + model.n_internal), jnp.zeros((n_steps if remembers else 0, 6))
-    )
+    start = _Carry(jnp.zeros(2 + model.n_internal), jnp.zeros((n_steps if remembers else 0, 6)))
     inputs = (jnp.arange(torque.shape[0]), torque, impulses[:-1])
     carry, angles = jax.lax.scan(sample, start, inputs)
     return jnp.append(angles, carry.state[0])

@@ -175,17 +175,19 @@ class Model:
             states.append(internal[first : first + effect.n_states])
             first += effect.n_states
 
-        def torque_of(place: str, seen: Motion) -> ArrayLike:
-            return sum(
+        def torque_of(place: str, seen: Motion) -> Array:
+            parts = (
                 effect.torque(p, seen, own, past)
                 for effect, p, own, past in zip(
                     self.effects, per_effect, states, delayed, strict=True
                 )
                 if effect.place == place
             )
+            return sum((jnp.asarray(part) for part in parts), start=jnp.zeros(()))
 
-        def muscle(seen: Motion) -> ArrayLike:
-            return stiffness * seen.angle + damping * seen.velocity + torque_of("muscle", seen)
+        def muscle(seen: Motion) -> Array:
+            angle, velocity = jnp.asarray(seen.angle), jnp.asarray(seen.velocity)
+            return stiffness * angle + damping * velocity + torque_of("muscle", seen)
 
         rates: list[Array] = []
         contractile = motion
@@ -195,7 +197,8 @@ class Model:
             # The element moves such that it carries the tendon's torque. Its torque is affine in
             # its velocity; without damping it would be a static balance, hence the tiny floor.
             at_rest = muscle(Motion(angle, 0.0))
-            slope = jnp.maximum(muscle(Motion(angle, 1.0)) - at_rest, 1e-9)
+            slope = muscle(Motion(angle, 1.0)) - at_rest
+            slope = jnp.where(jnp.abs(slope) < 1e-9, 1e-9, slope)
             contractile = Motion(angle, (tension - at_rest) / slope)
             rates.append(jnp.reshape(contractile.velocity, (1,)))
             torque = tension
@@ -212,10 +215,11 @@ class Model:
     def _has_tendon(self) -> bool:
         return any(effect.place == "series" for effect in self.effects)
 
-    def _effect_parameters(self, theta: Array) -> list[Array]:
-        parts, first = [], len(KBI_PARAMETERS)
+    def _effect_parameters(self, theta: Array) -> list[Sequence[Array]]:
+        parts: list[Sequence[Array]] = []
+        first = len(KBI_PARAMETERS)
         for effect in self.effects:
-            parts.append(theta[first : first + len(effect.parameters)])
+            parts.append([theta[first + i] for i in range(len(effect.parameters))])
             first += len(effect.parameters)
         return parts
 

@@ -136,7 +136,9 @@ def matrix_exponential(matrix: Array) -> Array:
         return done + 1, jnp.where(done < squarings, power @ power, power)
 
     # Under vmap the loop runs until the last member is done; `where` keeps the others as they are.
-    return jax.lax.while_loop(lambda carry: carry[0] < squarings, square, (0.0, series))[1]
+    return jax.lax.while_loop(lambda carry: carry[0] < squarings, square, (jnp.zeros(()), series))[
+        1
+    ]
 
 
 def _discretise(

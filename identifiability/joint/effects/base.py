@@ -52,7 +52,9 @@ class Effect(ABC):
     references: ClassVar[tuple[str, ...]] = ()
 
     @abstractmethod
-    def torque(self, p: Sequence[Array], motion: Motion, states: Array, delayed: Motion) -> ArrayLike:
+    def torque(
+        self, p: Sequence[Array], motion: Motion, states: Array, delayed: Motion
+    ) -> ArrayLike:
         """Torque with which the effect resists the motion.
 
         Parameters

@@ -39,6 +39,8 @@ class SeriesTendon(Effect):
     )
     references = ("Kistemaker & Rozendaal 2011, PLoS ONE 6(5): e19568, Eq. 1",)
 
-    def torque(self, p: Sequence[Array], motion: Motion, states: Array, delayed: Motion) -> ArrayLike:
+    def torque(
+        self, p: Sequence[Array], motion: Motion, states: Array, delayed: Motion
+    ) -> ArrayLike:
         """Torque [Nm] of the tendon at a stretch of ``motion.angle`` rad."""
         return p[0] * motion.angle

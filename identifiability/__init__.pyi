@@ -1,0 +1,96 @@
+from .errors import InputError
+from .inference.archive import to_datatree, write_netcdf
+from .inference.curvature import Curvature, curvature, largest_change
+from .inference.fitting import Fit, fit, fit_simplex
+from .inference.problem import Observation, Prior, Problem, observe
+from .inference.profiles import Profile, profile
+from .inference.quadrature import Moments, quadrature
+from .inference.recordings import RecordingFit, fit_recordings
+from .inference.sampling import Posterior, sample
+from .inference.widths import Width, Widths, widths
+from .joint.effects import EFFECTS, Effect, Motion, SeriesTendon
+from .joint.model import KBI, Model
+from .joint.parameters import Parameter
+from .joint.response import simulate
+from .measurement.example import example_trials
+from .measurement.noise import Noise, matched_noise
+from .measurement.perturbations import (
+    PERTURBATIONS,
+    DoublePulse,
+    Impulse,
+    Perturbation,
+    Pulse,
+    SampledTorque,
+    Sinusoid,
+    Step,
+    imposed_motion,
+    multisine,
+    prbs,
+)
+from .measurement.readers import read_trial
+from .measurement.trials import Trial, onsets
+from .plots.corner import corner_figure
+from .plots.recording import overlay_figure, windows_figure
+from .study.approximations import high_frequency, low_frequency
+from .study.setting import MSM, Setting, error_problem, measured_problem
+
+__all__ = [  # noqa: RUF022 -- in the order of use
+    "InputError",
+    "Trial",
+    "read_trial",
+    "example_trials",
+    "onsets",
+    "Perturbation",
+    "PERTURBATIONS",
+    "Impulse",
+    "Pulse",
+    "DoublePulse",
+    "Step",
+    "Sinusoid",
+    "SampledTorque",
+    "multisine",
+    "prbs",
+    "imposed_motion",
+    "Noise",
+    "matched_noise",
+    "Parameter",
+    "Effect",
+    "Motion",
+    "EFFECTS",
+    "SeriesTendon",
+    "Model",
+    "KBI",
+    "simulate",
+    "observe",
+    "Observation",
+    "Prior",
+    "Problem",
+    "fit",
+    "fit_simplex",
+    "Fit",
+    "curvature",
+    "Curvature",
+    "largest_change",
+    "profile",
+    "Profile",
+    "sample",
+    "Posterior",
+    "quadrature",
+    "Moments",
+    "widths",
+    "Widths",
+    "Width",
+    "fit_recordings",
+    "RecordingFit",
+    "to_datatree",
+    "write_netcdf",
+    "MSM",
+    "Setting",
+    "error_problem",
+    "measured_problem",
+    "low_frequency",
+    "high_frequency",
+    "corner_figure",
+    "overlay_figure",
+    "windows_figure",
+]

@@ -1,0 +1,84 @@
+"""``identifiability demo``: a small study and a fit, on what comes with the package."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from pathlib import Path
+from typing import Any
+
+
+def add_parser(commands: Any) -> None:
+    """Add the subcommand."""
+    parser = commands.add_parser(
+        "demo",
+        help="a small study and a fit on shipped (simulated) trials, in under two minutes",
+        description="Run a small study and a fit on the simulated trials that come with the "
+        "package, and say what was found.",
+    )
+    parser.add_argument(
+        "--out", type=Path, default=Path("identifiability-demo"), metavar="DIR", help="folder"
+    )
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the subcommand."""
+    from tqdm import tqdm
+
+    from identifiability.cli.fit import save_results, summary
+    from identifiability.cli.widths import save_setting, table
+    from identifiability.files import output_folder
+    from identifiability.inference.recordings import fit_recordings
+    from identifiability.inference.widths import widths
+    from identifiability.measurement.example import B_CE, INERTIA, K_CE, K_SE, example_trials
+    from identifiability.measurement.perturbations import Impulse
+    from identifiability.study.setting import Setting, measured_problem
+
+    out = output_folder(options.out)
+    setting = Setting(K_CE, B_CE, K_SE, INERTIA)
+    lengths = (0.05, 0.1, 0.2)
+    results = []
+    with tqdm(total=len(lengths) + 5, unit="part", file=sys.stderr) as bar:
+        for window in lengths:
+            bar.set_description(f"paper's setting, T = {1000 * window:g} ms")
+            problem = measured_problem(setting, Impulse(), window)
+            results.append(widths(problem, starts=setting.starts(), seed=1))
+            save_setting(
+                problem, results[-1], out / f"T{1000 * window:g}", f"T = {1000 * window:g} ms"
+            )
+            bar.update()
+
+        def advance(what: str, done: int, total: int) -> None:
+            bar.set_description(f"shipped trials, {what}")
+            bar.update(done > 1)
+
+        recording = fit_recordings(
+            example_trials(), window_lengths=lengths, seed=1, progress=advance
+        )
+        save_results(recording, out / "trials")
+        bar.update()
+
+    stiffness = [f"{r['K'].optimum:.0f}" for r in results]
+    quadratic = [f"{r['K'].quadratic:.0f}" for r in results]
+    spread = [f"{r['K'].posterior_sd:.0f}" for r in results]
+    by_window = [w.widths["K"] for w in recording.windows]
+    print(
+        f"""
+What was found
+  One joint (contractile element {K_CE:g} Nm/rad, tendon {K_SE:g} Nm/rad), three stiffnesses:
+  K = {", ".join(stiffness)} Nm/rad for windows of 50, 100 and 200 ms. None of them is the joint's.
+  An error of measurement of E = 0.001 leaves K uncertain by (standard deviation)
+  {", ".join(quadratic)} Nm/rad by the paper's quadratic estimate, and by
+  {", ".join(spread)} Nm/rad when the posterior is sampled within physical bounds.
+  The shipped trials of the same joint, simulated with noise, give
+  K = {", ".join(f"{w.optimum:.0f} ± {w.posterior_sd:.1g}" for w in by_window)} Nm/rad in these windows
+  after the pulse, with a VAF of {recording.goodness.vaf:.2f} % over the whole: a good fit, a wrong model."""
+    )
+    for window, result in zip(lengths, results, strict=True):
+        print(f"\nThe paper's setting, T = {1000 * window:g} ms: {result.verdict}; {result.reason}")
+        print(table(result))
+    print("\nThe shipped trials (simulated, not measured)")
+    print(summary(recording))
+    print(f"\nwritten: {out}/T50, T100, T200 and trials, with corner plots and figures")
+    return 0

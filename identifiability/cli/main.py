@@ -1,0 +1,44 @@
+"""The command line: one subcommand a file, errors in one sentence."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from identifiability.errors import InputError
+
+USAGE, PARTIAL, INTERRUPTED = 2, 3, 130
+
+
+def parser() -> argparse.ArgumentParser:
+    """Build the parser with all subcommands."""
+    from identifiability.cli import atlas, demo, fit, paper, widths
+
+    top = argparse.ArgumentParser(
+        prog="identifiability",
+        description="Can the stiffness, damping and inertia fitted to a joint be believed?",
+    )
+    commands = top.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    for module in (demo, fit, widths, paper, atlas):
+        module.add_parser(commands)
+    return top
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit code (0 done, 2 bad input, 3 some cells failed)."""
+    # Compiled programs are kept between runs and shared by worker processes.
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "identifiability"
+    os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(cache))
+    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.2")
+    try:
+        options = parser().parse_args(arguments)
+        return int(options.run(options) or 0)
+    except InputError as error:
+        print(f"identifiability: {error}", file=sys.stderr)
+        return USAGE
+    except KeyboardInterrupt:
+        print("identifiability: interrupted; what was finished is kept", file=sys.stderr)
+        return INTERRUPTED

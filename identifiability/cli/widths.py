@@ -1,0 +1,155 @@
+"""``identifiability widths``: one setting of the musculoskeletal model, every width, a corner plot."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from identifiability.errors import InputError
+
+if TYPE_CHECKING:
+    from identifiability.inference.problem import Problem
+    from identifiability.inference.widths import Widths
+
+
+def add_parser(commands: Any) -> None:
+    """Add the subcommand."""
+    parser = commands.add_parser(
+        "widths",
+        help="widths of K, B and I for one musculoskeletal setting: quadratic against posterior",
+        description="Fit KBI to the response of a musculoskeletal model whose parameters are known, "
+        "and compare the quadratic (Hessian) widths of K, B and I with slices, profiles and the "
+        "posterior sampled by MCMC, under noise matched to the paper's dE.",
+    )
+    parser.add_argument(
+        "--msm",
+        nargs=4,
+        type=float,
+        required=True,
+        metavar=("K_CE", "B_CE", "K_SE", "I"),
+        help="parameters of the musculoskeletal model [Nm/rad, Nms/rad, Nm/rad, kg m2]",
+    )
+    parser.add_argument(
+        "--perturbation", default="impulse", metavar="NAME", help="default: impulse"
+    )
+    parser.add_argument(
+        "--window", type=float, default=0.05, metavar="T", help="seconds that are fitted (0.05)"
+    )
+    parser.add_argument(
+        "--noise", default="contour", metavar="READING", help="contour (default) or energy"
+    )
+    parser.add_argument("--dE", type=float, default=1e-3, help="error the noise is matched to")
+    parser.add_argument(
+        "--correlation-time",
+        type=float,
+        default=0.0,
+        metavar="S",
+        help="of AR(1) noise [s]; 0: white",
+    )
+    parser.add_argument("--rate", type=float, default=1000.0, metavar="HZ", help="sampling rate")
+    parser.add_argument(
+        "--no-bounds", action="store_true", help="let K and B be negative: no physical prior"
+    )
+    parser.add_argument(
+        "--realisation",
+        type=int,
+        metavar="SEED",
+        help="add a noise realisation to the response (by default it is the expected one)",
+    )
+    parser.add_argument("--seed", type=int, default=1, help="of the sampler (1)")
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for results")
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the subcommand."""
+    from identifiability.files import output_folder
+    from identifiability.inference.problem import Prior
+    from identifiability.inference.widths import widths
+    from identifiability.measurement.perturbations import PERTURBATIONS
+    from identifiability.study.setting import Setting, measured_problem
+
+    if options.perturbation not in PERTURBATIONS:
+        raise InputError(
+            f"found perturbation '{options.perturbation}', expected one of {list(PERTURBATIONS)}"
+        )
+    setting = Setting(*options.msm)
+    problem = measured_problem(
+        setting,
+        PERTURBATIONS[options.perturbation](),
+        options.window,
+        reading=options.noise,
+        dE=options.dE,
+        correlation_time=options.correlation_time,
+        rate=options.rate,
+        seed=options.realisation,
+    )
+    if options.no_bounds:
+        problem = problem.with_prior(Prior.unbounded(problem.model))
+    if options.seed < 0:
+        raise InputError(f"found the seed {options.seed}, expected 0 or more")
+    out = output_folder(options.out)
+    result = widths(problem, starts=setting.starts(), seed=options.seed)
+    conditions = {
+        "setting": vars(setting),
+        "perturbation": options.perturbation,
+        "window": options.window,
+        "noise": {
+            "reading": options.noise,
+            "dE": options.dE,
+            "correlation_time": options.correlation_time,
+            "realisation": options.realisation,
+        },
+        "rate": options.rate,
+        "bounds": not options.no_bounds,
+    }
+    title = (
+        f"MSM {' '.join(f'{v:g}' for v in options.msm)}, {options.perturbation}, "
+        f"T = {1000 * options.window:g} ms, {options.noise}"
+    )
+    save_setting(problem, result, out, title, conditions)
+    print(table(result))
+    print(f"\n{result.verdict}: {result.reason}")
+    print(f"sampler: {result.posterior.step}, because {result.posterior.reason}")
+    print(f"written: {out / 'widths.json'}, {out / 'posterior.nc'}, {out / 'corner.png'}")
+    return 0
+
+
+def save_setting(
+    problem: Problem,
+    result: Widths,
+    out: Path,
+    title: str,
+    conditions: dict[str, Any] | None = None,
+) -> None:
+    """Write posterior, corner plot and record of one setting into a folder."""
+    from identifiability.files import write_json
+    from identifiability.inference.archive import package_version, write_netcdf
+    from identifiability.plots.corner import corner_figure
+    from identifiability.plots.style import save
+
+    write_netcdf(problem, result, out / "posterior.nc")
+    save(corner_figure(result, problem.model, title=title), out / "corner.png")
+    record = {"schema": 1, "package": package_version(), **(conditions or {}), **result.to_dict()}
+    write_json(out / "widths.json", record)
+
+
+def table(result: Widths) -> str:
+    """All widths side by side, as text."""
+    columns = [
+        ("optimum", "optimum"),
+        ("slice", "slice"),
+        ("quadratic", "quadratic"),
+        ("Gauss-N.", "gauss_newton"),
+        ("sandwich", "sandwich"),
+        ("profile", "profile"),
+        ("posterior", "posterior_sd"),
+        ("quadrature", "quadrature_sd"),
+    ]
+    head = f"{'':24}" + "".join(f"{title:>11}" for title, _ in columns) + "  verdict"
+    lines = [head]
+    for row in result.rows:
+        cells = "".join(f"{getattr(row, field):>11.4g}" for _, field in columns)
+        lines.append(f"{row.name + ' [' + row.unit + ']':24}{cells}  {row.verdict}")
+    return "\n".join(lines)

@@ -1,0 +1,1 @@
+"""What can be known: fits, widths, samplers and their referee."""

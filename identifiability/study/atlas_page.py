@@ -1,0 +1,427 @@
+"""The page of the atlas, made from the record of `atlas_record` alone."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+from identifiability.inference.widths import VERDICTS
+from identifiability.study.atlas_record import AWAY
+from identifiability.study.replication import number, percent
+
+Record = Mapping[str, Any]
+
+MOST_LISTED = 20
+
+_PERTURBATIONS = {"double_pulse": "double pulse"}
+_AXES = {
+    "perturbation": "Perturbation",
+    "ratio": "K_SE / K_CE",
+    "K_CE": "K_CE [Nm/rad]",
+    "B_CE": "B_CE [Nms/rad]",
+}
+
+
+def page(record: Record) -> str:
+    """Render the page.
+
+    Parameters
+    ----------
+    record : mapping
+        From `atlas_record.record`.
+
+    Returns
+    -------
+    str
+        Markdown.
+    """
+    sections = [_head(record)]
+    if record["cells"]["done"]:
+        sections += [
+            _short(record),
+            _verdicts(record),
+            _ratios(record),
+            _why(record),
+            _stiffness(record),
+            _trust(record),
+        ]
+    sections += [_failed(record), _figures(record), _again(record)]
+    return "\n\n".join(_filled(section.strip()) for section in sections if section) + "\n"
+
+
+def _head(record: Record) -> str:
+    plan, cells = record["plan"], record["cells"]
+    durations = _listed(f"{1000 * T:g}" for T in plan["T"])
+    noise = "white"
+    if plan["correlation_time"]:
+        noise = (
+            f"first-order autoregressive (correlation time {1000 * plan['correlation_time']:g} ms)"
+        )
+    return f"""\
+# Where the quadratic widths of K, B and I hold
+
+A joint with known muscle and tendon is perturbed, stiffness K, damping B and inertia I are fitted
+to its response, and the question is how well the response determines them. The usual answer, also
+that of Kistemaker & Rozendaal (2011), is an ellipse from the curvature (Hessian) of the error at
+its minimum. It is exact where the error is a parabola for as far as the data leave the parameters
+free, and where no impossible value (K or B below zero) lies within reach. This page compares it
+with the full posterior distribution, sampled by MCMC with those impossible values excluded.
+
+The grid: K_CE {_range(plan["K_CE"], "Nm/rad")}, B_CE {_range(plan["B_CE"], "Nms/rad")},
+K_SE = {_listed(f"{r:g}" for r in plan["ratio"])} times K_CE, I = 0.1 kg m²; {durations} ms of the
+response to {_listed(_name(p) for p in plan["perturbations"])}, sampled at {plan["rate"]:g} Hz, with
+{noise} noise. {cells["done"]} of {cells["total"]} cells have a result.
+
+The noise is matched to the paper's ΔE = {plan["dE"]:g} in two readings. *contour*: one standard
+deviation along the least certain direction is the paper's change of parameters. *energy*: the noise
+itself has an error of ΔE, which is less noise, the less the more samples there are."""
+
+
+def _short(record: Record) -> str:
+    criteria = record["criteria"]
+    lines = []
+    for reading in dict.fromkeys(group["reading"] for group in record["verdicts"]):
+        groups = [g for g in record["verdicts"] if g["reading"] == reading]
+        total = sum(g["of"] for g in groups)
+        counts = {v: sum(g["counts"].get(v, 0) for g in groups) for v in VERDICTS}
+        agreeing = _listed(
+            f"{g['counts'].get('agrees', 0)} of {g['of']} at {_milliseconds(g['T'])}"
+            for g in groups
+        )
+        others = [f"{v} in {n}" for v, n in counts.items() if n and v != "agrees"]
+        line = (
+            f"- *{reading}*: the ellipse holds in {counts['agrees']} of {total} cells ({agreeing})"
+        )
+        lines.append(f"{line}; it is {_listed(others)}." if others else f"{line}.")
+    near = [
+        [
+            c
+            for group in record["distances"]
+            for c in group["classes"]
+            if (c["from"] < AWAY) is close
+        ]
+        for close in (True, False)
+    ]
+    (close, close_of), (far, far_of) = (
+        (sum(c["agrees"] for c in classes), sum(c["of"] for c in classes)) for classes in near
+    )
+    verdicts = "\n".join(lines)
+    return f"""\
+## In short
+
+{verdicts}
+
+Where the optimum lies less than {AWAY:g} quadratic widths from an impossible value, the ellipse
+holds in {close} of {close_of} cells; elsewhere in {far} of {far_of}. *Holds* is strict: widths to
+{percent(criteria["width_tolerance"])}, ends of the 95 % interval to {criteria["end_tolerance"]:g}
+widths, for K, B and I at once."""
+
+
+def _verdicts(record: Record) -> str:
+    criteria = record["criteria"]
+    present = [v for v in VERDICTS if any(v in group["counts"] for group in record["verdicts"])]
+    rows = [
+        [
+            group["reading"],
+            _milliseconds(group["T"]),
+            *(f"{group['counts'].get(v, 0)} of {group['of']}" for v in present),
+            f"{group['width_alone']} of {group['of']}",
+        ]
+        for group in record["verdicts"]
+    ]
+    text = f"""\
+## Where the ellipse holds
+
+The quadratic width of a parameter *agrees* if the posterior's standard deviation lies within
+{percent(criteria["width_tolerance"])} of it and both ends of the 95 % interval lie within
+{criteria["end_tolerance"]:g} widths of where a Gaussian's would. A cell's verdict is the worst of
+its three parameters'. The last column counts cells in which the standard deviations alone are
+right, wherever the intervals lie.
+
+{_table(["Noise", "T", *present, "sd alone"], rows)}
+
+{_glossary(present, criteria)}
+
+Cells that agree, along each axis of the grid:
+"""
+    for axis, title in _AXES.items():
+        groups = record["along"][axis]
+        values = list(dict.fromkeys(group[axis] for group in groups))
+        if len(values) < 2:
+            continue
+        rows = []
+        for reading in dict.fromkeys(group["reading"] for group in groups):
+            found = {g[axis]: g for g in groups if g["reading"] == reading}
+            cells = [
+                f"{found[v]['counts'].get('agrees', 0)} of {found[v]['of']}" if v in found else "–"
+                for v in values
+            ]
+            rows.append([reading, *cells])
+        heads = [_name(v) if isinstance(v, str) else f"{v:g}" for v in values]
+        text += f"\n{title}:\n\n{_table(['Noise', *heads], rows)}\n"
+    return text
+
+
+def _glossary(present: Sequence[str], criteria: Record) -> str:
+    meanings = {
+        "curved": "the error is no parabola over the width of the posterior",
+        "heavy-tailed": "extreme values are likelier than the ellipse says (the 95 % interval is "
+        f"more than {criteria['heavy_tail']:g} times the 68 % one; a Gaussian's is 1.96 times)",
+        "truncated": "a parameter's physical bound lies within reach of the data, and cuts the "
+        "ellipse off",
+        "non-identifiable": "the data do not bound the parameter on at least one side",
+        "not converged": "the sampler did not converge, so there is nothing to compare with",
+    }
+    return "\n".join(f"- *{v}*: {meanings[v]}." for v in present if v in meanings)
+
+
+def _ratios(record: Record) -> str:
+    rows = []
+    for group in record["ratios"]:
+        if not group["finite"]:
+            continue
+        rows.append(
+            [
+                group["reading"],
+                _milliseconds(group["T"]),
+                group["parameter"],
+                *(number(group[q]) for q in ("q5", "q50", "q95")),
+                f"{group['of'] - group['finite']} of {group['of']}",
+            ]
+        )
+    return f"""\
+## By how much it is wrong
+
+Posterior standard deviation divided by the quadratic width: below 1 the ellipse is too wide,
+above 1 too narrow. The last column counts cells in which the Hessian gives no width at all.
+
+{_table(["Noise", "T", "", "5 %", "median", "95 %", "no width"], rows)}"""
+
+
+def _why(record: Record) -> str:
+    causes = [
+        [
+            group["reading"],
+            group["verdict"],
+            str(group["of"]),
+            _median(group["shift"]),
+            _median(group["distance"]),
+            _median(group["bend"]),
+            _median(group["E"]),
+        ]
+        for group in record["causes"]
+    ]
+    text = f"""\
+## Why it fails
+
+How wrong the ellipse is, is measured in every cell by *shift*: the largest distance, in quadratic
+widths, of an end of a 95 % posterior interval from where a Gaussian's would be. Three things may
+explain it. *Distance*: how many quadratic widths the optimum lies from the nearest lower bound;
+below about 2 the ellipse reaches impossible values. *Bend*: the ratio, either way up, of the
+widths from the full Hessian and from the slopes alone (Gauss-Newton); it is 1 where KBI fits
+exactly or is linear in its parameters. *E\\**: the error at the optimum, what KBI cannot describe
+of the response. Medians:
+
+{_table(["Noise", "Verdict", "Cells", "Shift", "Distance", "Bend", "E*"], causes)}
+
+Share of cells that agree, by distance:
+
+{_table(*_distance_table(record))}
+"""
+    for group in record["bounds"]:
+        if group["of"]:
+            ends = ", ".join(f"{bound} in {n}" for bound, n in group["counts"].items())
+            text += (
+                f"\n{group['reading'].capitalize()}: {_cells(group['of'])} truncated. A bound ends "
+                f"a 95 % profile interval: {ends or 'none'} (in one cell there may be several).\n"
+            )
+    rows = [
+        [
+            group["reading"],
+            f"at least {group['least_distance']:g}" if group["least_distance"] else "all",
+            str(group["E"]["of"]),
+            *(_signed(group[k]["spearman"]) for k in ("nearness", "bend", "E")),
+        ]
+        for group in record["associations"]
+    ]
+    text += f"""
+How closely does each go with the shift? Rank correlations, 1 if the one always rises with the
+other; nearness is distance with its sign turned. Over all cells the bounds may hide what else
+matters, so that cells away from them are also given alone:
+
+{_table(["Noise", "Distance", "Cells", "Nearness to a bound", "Bend", "E*"], rows)}"""
+    errors = [group["E"]["spearman"] for group in record["associations"]]
+    if all(value is not None and value < 0 for value in errors):
+        text += """
+
+E* goes the other way: the better KBI fits, the worse the ellipse. A response that is easily fitted
+is one that says little about K, B and I, so a small error is no sign of a trustworthy width."""
+    return text
+
+
+def _distance_table(record: Record) -> tuple[list[str], list[list[str]]]:
+    classes = record["distances"][0]["classes"]
+    heads = [
+        f"{c['from']:g} to {c['to']:g}" if c["to"] is not None else f"{c['from']:g} and more"
+        for c in classes
+    ]
+    rows = [
+        [
+            group["reading"],
+            *(f"{c['agrees']} of {c['of']}" if c["of"] else "–" for c in group["classes"]),
+        ]
+        for group in record["distances"]
+    ]
+    return ["Noise", *heads], rows
+
+
+def _stiffness(record: Record) -> str:
+    found = record["stiffness"]
+    change = found["change"]
+    if not change["finite"]:
+        return ""
+    return f"""\
+## What agreement does not say
+
+That the ellipse is right about the width does not make K the stiffness of the joint. In the
+{_cells(change["of"])} where all three widths agree, the fitted K differs from the stiffness that
+a slow perturbation would meet, K_CE K_SE / (K_CE + K_SE), by {_percent_signed(change["q50"])} in
+the median ({_percent_signed(change["q5"])} to {_percent_signed(change["q95"])} from the 5th to
+the 95th percentile), and in {found["beyond_two_sd"]} of them by more than two posterior standard
+deviations."""
+
+
+def _trust(record: Record) -> str:
+    sampler, referee, limits = record["sampler"], record["referee"], record["criteria"]
+    steps = _listed(f"{step} in {n}" for step, n in sampler["steps"].items())
+    failing = sampler["not_converged"]
+    text = f"""\
+## Whether the sampled widths can be trusted
+
+Each posterior was sampled by emcee in four independent ensembles, with the first of three
+proposals that works (*laplace-t*: a t density with the ellipse's shape; *mixture-t*: several of
+them, fitted to a pilot run; *differential evolution*): {steps} of {sampler["of"]} cells. The
+largest R-hat across ensembles is {sampler["rhat_largest"]:.4f} (limit {limits["rhat_limit"]:g}),
+the smallest effective sample size {sampler["ess_bulk_smallest"]:.0f} in the bulk and
+{sampler["ess_tail_smallest"]:.0f} in the tails (limit {limits["ess_limit"]:g}).
+{f"{failing} did not converge." if failing else "All converged."}"""
+    if referee["of"]:
+        worst = referee["worst"]
+        text += f"""
+
+Every standard deviation was also computed without random numbers, by quadrature. Over
+{referee["of"]} of them the difference, in units of its Monte Carlo error, has a root mean square
+of {referee["rms"]:.2f} (1 is expected) and is at most {referee["largest"]:.1f} (the largest of so
+many random numbers would come to about {referee["expected_largest"]:.1f}); in relative terms it
+is at most {percent(referee["largest_relative"])}. The largest is in the cell {_place(worst)}."""
+    return text
+
+
+def _failed(record: Record) -> str:
+    failed = record["cells"]["failed"]
+    if not failed:
+        return ""
+    rows = [
+        [_place(cell), cell["status"], cell["cause"].replace("|", "\\|")]
+        for cell in failed[:MOST_LISTED]
+    ]
+    more = len(failed) - len(rows)
+    rest = f" Of {len(failed)} the first {len(rows)}; all are in `atlas.json`:" if more else ""
+    return f"""\
+## Cells without a result
+
+The same command tries them again.{rest}
+
+{_table(["Cell", "Status", "Cause"], rows)}"""
+
+
+def _figures(record: Record) -> str:
+    text = ""
+    if record["corners"]:
+        text += "## Posteriors\n"
+        for corner in record["corners"]:
+            text += (
+                f"\n{corner['caption']}: {corner['verdict']}; {corner['reason']}.\n\n"
+                f"![{corner['caption']}]({corner['file']})\n"
+            )
+    if record["figures"]:
+        text += "\n## Maps\n"
+        for figure in record["figures"]:
+            text += f"\n{figure['caption']}\n\n![{figure['caption']}]({figure['file']})\n"
+    return text
+
+
+def _again(record: Record) -> str:
+    seconds = record["cells"]["seconds"]
+    cost = ""
+    if seconds["finite"]:
+        cost = f" A cell takes {number(seconds['q50'], 2)} s of one processor (median)."
+    return f"""\
+## Again
+
+    {record["command"]}
+
+With {record["package"]}, seed {record["plan"]["seed"]}.{cost} The same command, typed again after
+an interruption, goes on where it was; numbers for all cells are in `atlas.nc`
+(`xarray.open_dataset("atlas.nc")`), those of this page in `atlas.json`."""
+
+
+def _filled(section: str) -> str:
+    """Paragraphs filled to the width of the page; tables, lists, headings and code as they are."""
+    parts = section.split("\n\n")
+    return "\n\n".join(
+        part
+        if part.strip().startswith(("|", "- ", "#", "!", "    ")) or part.startswith("    ")
+        else textwrap.fill(
+            " ".join(part.split()), 100, break_long_words=False, break_on_hyphens=False
+        )
+        for part in parts
+    )
+
+
+def _table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    lines = [heads, ["---"] * len(heads), *rows]
+    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+
+
+def _median(quantiles: Record) -> str:
+    return number(quantiles["q50"]) if quantiles["finite"] else "–"
+
+
+def _signed(value: float | None) -> str:
+    return "–" if value is None else f"{value:+.2f}".replace("-", "−")
+
+
+def _percent_signed(fraction: float) -> str:
+    return f"{100 * fraction:+.1f} %".replace("-", "−")
+
+
+def _cells(n: int) -> str:
+    return {0: "no cell", 1: "1 cell"}.get(n, f"{n} cells")
+
+
+def _milliseconds(T: float) -> str:
+    return f"{1000 * T:g} ms"
+
+
+def _name(perturbation: str) -> str:
+    return _PERTURBATIONS.get(perturbation, perturbation)
+
+
+def _range(values: Sequence[float], unit: str) -> str:
+    if len(values) == 1:
+        return f"{values[0]:g} {unit}"
+    return f"from {values[0]:g} to {values[-1]:g} {unit} in {len(values)} steps"
+
+
+def _listed(words: Iterable[str]) -> str:
+    *first, last = words
+    return f"{', '.join(first)} and {last}" if first else last
+
+
+def _place(cell: Record) -> str:
+    return (
+        f"K_CE {cell['K_CE']:g}, B_CE {cell['B_CE']:g}, K_SE/K_CE {cell['ratio']:g}, "
+        f"{_milliseconds(cell['T'])}, {_name(cell['perturbation'])}, {cell['reading']}"
+    )

@@ -1,0 +1,37 @@
+"""What all tests share: compiled programs kept between sessions, long runs on demand, test data."""
+
+import os
+from pathlib import Path
+
+import pytest
+from hypothesis import settings
+
+# Read when jax is imported, which test modules do after this.
+_CACHE = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "identifiability"
+os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(_CACHE))
+os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.2")
+
+SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
+
+# Compilation makes single examples slow; the same examples every time make a failure repeatable.
+settings.register_profile("repeatable", deadline=None, derandomize=True)
+settings.register_profile("search", deadline=None, max_examples=500)
+settings.load_profile("repeatable")
+
+
+def pytest_collection_modifyitems(config, items):
+    """Skip tests marked long unless they are asked for."""
+    if "long" in config.getoption("markexpr"):
+        return
+    skip = pytest.mark.skip(reason="takes minutes; run it with -m long")
+    for item in items:
+        if item.get_closest_marker("long"):
+            item.add_marker(skip)
+
+
+@pytest.fixture(scope="session")
+def shared_data():
+    """Folder of the recordings that are not part of this repository."""
+    if not SHARED.is_dir():
+        pytest.skip(f"needs {SHARED}")
+    return SHARED
