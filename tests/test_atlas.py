@@ -249,12 +249,16 @@ def test_the_record_counts_what_is_there(plan):
     assert sum(group["of"] for group in found["verdicts"]) == total - failing
     for group in found["bounds"]:
         assert group["counts"] == {"B >= 0": group["of"]}
-    # Distances are K_CE in these results, so the class of 10 (6 and more) holds them all.
+    # The distance is K_CE in these results: 10, 50 and 200.
     for group in found["distances"]:
-        assert [c["of"] for c in group["classes"][:-1]] == [0] * (len(group["classes"]) - 1)
+        inside = {c["from"]: (c["agrees"], c["of"]) for c in group["classes"] if c["of"]}
+        assert list(inside) == [10.0, 15.0]
+        assert inside[10.0][0] == 0
+        assert inside[15.0][0] == inside[15.0][1]
     assert found["referee"]["rms"] == pytest.approx(2.0)
     assert found["referee"]["largest"] == pytest.approx(2.0)
     assert found["referee"]["of"] == 3 * (total - failing)
+    assert found["referee"]["disagreeing"] == []
     for group in found["ratios"]:
         assert (group["smallest"], group["largest"]) == (0.5, 1.0)
     assert found["sampler"]["steps"] == {"laplace-t": total - failing}
@@ -272,6 +276,18 @@ def test_the_page_says_what_the_record_says(plan):
     assert "    atlas --out here" in text
     assert "nan" not in text.lower().split()
     assert max(len(line) for line in text.splitlines() if not line.startswith(("|", "-"))) <= 100
+
+
+def test_a_width_that_was_sampled_wrongly_is_named(plan):
+    data = to_dataset(plan, made_up_outcomes(plan))
+    place = {"K_CE": 50, "B_CE": 30, "ratio": 2, "T": 0.2, "perturbation": "impulse"}
+    data["quadrature_sd"].loc[{**place, "reading": "energy", "parameter": "B"}] *= 4
+    (wrong,) = record(data, command="c")["referee"]["disagreeing"]
+    assert {**wrong, **place, "reading": "energy", "parameter": "B"} == wrong
+    assert wrong["integrated"] == pytest.approx(4 * 0.98 * wrong["sampled"])
+    text = page(record(data, command="c"))
+    assert "This is so in 1 cell." in text
+    assert "| K_CE 50, B_CE 30, K_SE/K_CE 2, 200 ms, impulse, energy | agrees | B |" in text
 
 
 def test_the_page_does_not_drown_in_failures():

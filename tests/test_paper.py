@@ -205,6 +205,8 @@ def test_an_optimum_on_a_bound_is_recorded_and_left_out():
 def test_numbers_are_written_plainly():
     assert number(54.977, 4) == "54.98"
     assert number(88.0, 2) == "88"
+    assert number(9.96, 2) == "10"
+    assert number(-0.287, 2) == "−0.29"
     assert number(1.36e-4, 2) == "1.4 × 10⁻⁴"
     assert number(0.0, 2) == "0.0"
     assert percent(0.602) == "60 %"

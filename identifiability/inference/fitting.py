@@ -27,6 +27,8 @@ class Fit:
         Parameters whose optimum lies on a bound of the prior.
     costs : array, shape (n_starts,)
         Cost reached from each start, infinite where a start failed.
+    reached : array, shape (n_starts, n_free)
+        Where each start ended: local optima.
     n_agreeing : int
         Number of starts that reached the best cost.
     method : str
@@ -37,6 +39,7 @@ class Fit:
     cost: float
     at_bound: tuple[str, ...]
     costs: np.ndarray
+    reached: np.ndarray
     n_agreeing: int
     method: str
 
@@ -89,6 +92,7 @@ def fit(problem: Problem, starts: np.ndarray, *, polish: bool = True) -> Fit:
     """
     starts = _inside(problem, np.atleast_2d(starts))
     best, costs, failures = None, np.full(len(starts), np.inf), []
+    reached = starts.copy()
     for i, start in enumerate(starts):
         try:
             result = scipy.optimize.least_squares(
@@ -105,7 +109,7 @@ def fit(problem: Problem, starts: np.ndarray, *, polish: bool = True) -> Fit:
         except (ValueError, np.linalg.LinAlgError) as error:
             failures.append(str(error))
             continue
-        costs[i] = result.cost
+        costs[i], reached[i] = result.cost, result.x
         if best is None or result.cost < best.cost:
             best = result
     if best is None:
@@ -113,7 +117,7 @@ def fit(problem: Problem, starts: np.ndarray, *, polish: bool = True) -> Fit:
     values, cost = best.x, float(best.cost)
     if polish:
         values, cost = _newton(problem, values, cost)
-    return _finish(problem, values, cost, costs, "least squares")
+    return _finish(problem, values, cost, costs, reached, "least squares")
 
 
 def fit_simplex(
@@ -145,7 +149,8 @@ def fit_simplex(
     ]
     costs = np.array([r.fun for r in results])
     best = results[int(np.argmin(costs))]
-    return _finish(problem, best.x, float(best.fun), costs, "Nelder-Mead")
+    reached = np.array([r.x for r in results])
+    return _finish(problem, best.x, float(best.fun), costs, reached, "Nelder-Mead")
 
 
 def at_bounds(problem: Problem, values: np.ndarray) -> tuple[str, ...]:
@@ -195,7 +200,13 @@ def _newton(
 
 
 def _finish(
-    problem: Problem, values: np.ndarray, cost: float, costs: np.ndarray, method: str
+    problem: Problem,
+    values: np.ndarray,
+    cost: float,
+    costs: np.ndarray,
+    reached: np.ndarray,
+    method: str,
 ) -> Fit:
     agreeing = int(np.sum(costs <= cost * (1 + 1e-3) + 1e-9))
-    return Fit(problem.names, values, cost, at_bounds(problem, values), costs, agreeing, method)
+    bounds = at_bounds(problem, values)
+    return Fit(problem.names, values, cost, bounds, costs, reached, agreeing, method)

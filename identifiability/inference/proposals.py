@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import gammaln, logsumexp
 from sklearn.mixture import GaussianMixture
 
-_MOST_REDRAWS = 200
+_MOST_REDRAWS, _LARGEST_BLOCK = 400, 100_000
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,12 +46,17 @@ class StudentMixture:
         RuntimeError
             Where hardly any of the density lies in the box.
         """
-        points = self._draw_uncut(n, random)
+        kept, missing, block = [], n, n
         for _ in range(_MOST_REDRAWS):
-            outside = ~np.all((points >= self.lower) & (points <= self.upper), axis=1)
-            if not outside.any():
-                return points
-            points[outside] = self._draw_uncut(int(outside.sum()), random)
+            points = self._draw_uncut(block, random)
+            inside = np.all((points >= self.lower) & (points <= self.upper), axis=1)
+            kept.append(points[inside][:missing])
+            missing -= len(kept[-1])
+            if not missing:
+                return np.concatenate(kept)
+            # The fewer points fall inside, the more are drawn at once.
+            expected = missing * block / max(1, int(inside.sum()))
+            block = int(min(max(1.2 * expected, 16), _LARGEST_BLOCK))
         raise RuntimeError("hardly any of the proposal lies inside the prior's bounds")
 
     def log_density(self, points: np.ndarray) -> np.ndarray:
@@ -106,6 +112,19 @@ def laplace_t(
         5.0,
         lower,
         upper,
+    )
+
+
+def combined(proposals: Sequence[StudentMixture], weights: Sequence[float]) -> StudentMixture:
+    """Mixture of proposals that share box and degrees of freedom."""
+    first = proposals[0]
+    return StudentMixture(
+        np.concatenate([w * p.weights for w, p in zip(weights, proposals, strict=True)]),
+        np.concatenate([p.means for p in proposals]),
+        np.concatenate([p.factors for p in proposals]),
+        first.df,
+        first.lower,
+        first.upper,
     )
 
 

@@ -41,6 +41,9 @@ class Prepared:
         nothing new.
     onsets : array of int
         Samples at which the imposed signal starts to move.
+    has_offset : bool
+        Whether the response's level at rest is unknown. It is known where a quiet lead was
+        recorded.
     """
 
     trial: Trial
@@ -49,6 +52,7 @@ class Prepared:
     response: np.ndarray
     stride: int
     onsets: np.ndarray
+    has_offset: bool
 
     @property
     def interval(self) -> float:
@@ -79,9 +83,10 @@ def prepare(trial: Trial, model: Model, *, lowpass_hz: float | None = LOWPASS_HZ
     moves = onsets(trial)
     if trial.driven == "torque":
         # A lead must be long enough to average over; otherwise the record starts at rest as it is.
-        ready = trial.centred("baseline" if quiet_lead(trial) >= _QUIET_SAMPLES else "none")
+        quiet = quiet_lead(trial) >= _QUIET_SAMPLES
+        ready = trial.centred("baseline" if quiet else "none")
         drive = SampledTorque(ready.torque).drive(ready.time)
-        return Prepared(ready, ready.time, drive, ready.angle, 1, moves)
+        return Prepared(ready, ready.time, drive, ready.angle, 1, moves, not quiet)
     ready, stride = trial.centred("mean"), 1
     if lowpass_hz is not None:
         if lowpass_hz >= 0.5 * trial.sampling_rate:
@@ -93,7 +98,7 @@ def prepare(trial: Trial, model: Model, *, lowpass_hz: float | None = LOWPASS_HZ
         stride = max(1, int(ready.sampling_rate / (_SAMPLES_PER_CYCLE * lowpass_hz)))
     drive = imposed_motion(ready.time, ready.angle)
     if model.n_internal or not model.linear:
-        return Prepared(ready, ready.time, drive, ready.torque, stride, moves)
+        return Prepared(ready, ready.time, drive, ready.torque, stride, moves, True)
     thinned = replace(
         drive,
         interval=drive.interval * stride,
@@ -101,32 +106,54 @@ def prepare(trial: Trial, model: Model, *, lowpass_hz: float | None = LOWPASS_HZ
         impulses=drive.impulses[::stride],
     )
     kept = slice(None, None, stride)
-    return Prepared(ready, ready.time[kept], thinned, ready.torque[kept], 1, moves // stride)
+    return Prepared(ready, ready.time[kept], thinned, ready.torque[kept], 1, moves // stride, True)
 
 
 @dataclass(frozen=True, eq=False)
 class Selection:
-    """Samples of one trial, in stretches with an offset of their own.
+    """Samples of one trial that are compared.
 
     Attributes
     ----------
     samples : array of int, shape (k,)
-    segment : array of int, shape (k,)
+    stretches : int
+        Number of windows they come from.
+    segment : array of int, shape (k,), or None
+        Number of the stretch that each sample belongs to, where each has an unknown offset.
     """
 
     samples: np.ndarray
-    segment: np.ndarray
+    stretches: int
+    segment: np.ndarray | None
+
+    def centred(self, values: np.ndarray) -> np.ndarray:
+        """Values at the selected samples, without the mean of their stretch if it has an offset.
+
+        Parameters
+        ----------
+        values : array, shape (n,)
+            At all samples of the trial.
+
+        Returns
+        -------
+        array, shape (k,)
+        """
+        chosen = values[self.samples]
+        if self.segment is None:
+            return chosen
+        means = np.bincount(self.segment, chosen) / np.bincount(self.segment)
+        return chosen - means[self.segment]
 
 
 def whole(prepared: Prepared, start: float = 0.0, stop: float = 1.0) -> Selection:
-    """All compared samples between two fractions of the trial, with one offset."""
+    """All compared samples between two fractions of the trial."""
     n = prepared.time.size
     samples = np.arange(round(start * n), round(stop * n), prepared.stride)
-    return Selection(samples, np.zeros(samples.size, int))
+    return Selection(samples, 1, np.zeros(samples.size, int) if prepared.has_offset else None)
 
 
 def windows(prepared: Prepared, window: float) -> Selection:
-    """Samples within `window` seconds of each onset; each window has an offset of its own.
+    """Samples within `window` seconds of each onset; in windows that do not overlap.
 
     Raises
     ------
@@ -158,7 +185,8 @@ def windows(prepared: Prepared, window: float) -> Selection:
             "choose a shorter window"
         )
     segment = np.repeat(np.arange(len(stretches)), [s.size for s in stretches])
-    return Selection(np.concatenate(stretches), segment)
+    offsets = segment if prepared.has_offset else None
+    return Selection(np.concatenate(stretches), len(stretches), offsets)
 
 
 def recording_problem(
@@ -192,8 +220,7 @@ def recording_problem(
     observations: list[Observation] = []
     for i, (trial, selection) in enumerate(zip(prepared, selections, strict=True)):
         if noises is None:
-            measured = _centred(trial.response[selection.samples], selection.segment)
-            energy = np.sum(measured**2)
+            energy = np.sum(selection.centred(trial.response) ** 2)
             noise = Noise(float(np.sqrt(energy)))
         else:
             noise = noises[i]
@@ -216,7 +243,8 @@ class Goodness:
     Attributes
     ----------
     error : float
-        E (Eq. 3): summed squared residual over summed squared response, both without offset.
+        E (Eq. 3): summed squared residual over summed squared response, both without the offset
+        where there is one.
     vaf : float
         Variance accounted for [%].
     n_samples : int
@@ -375,7 +403,7 @@ def fit_recordings(
     ):
         progress(f"windows of {1000 * length:g} ms", 2 + len(by_window), total)
         _, within, within_quality, _, _ = study(chosen, int(child), False)
-        n_windows = sum(int(s.segment.max()) + 1 for s in chosen)
+        n_windows = sum(s.stretches for s in chosen)
         by_window.append(WindowFit(length, n_windows, within, within_quality))
     progress("fit to one part, judged on the other", total, total)
     held_out, remarks = _hold_out(prepared, model, prior, start, int(starts_seed))
@@ -383,7 +411,8 @@ def fit_recordings(
     for p, selection, response in zip(
         prepared, selections, problem.responses(result.fit.values), strict=True
     ):
-        offset = np.mean((p.response - response)[selection.samples])
+        missed = (p.response - response)[selection.samples]
+        offset = np.mean(missed) if p.has_offset else 0.0
         predictions.append(response + offset)
     return RecordingFit(
         prepared,
@@ -409,8 +438,8 @@ def goodness(problem: Problem, best: Fit, selections: Sequence[Selection]) -> Go
     for observation, response, selection in zip(
         problem.observations, responses, selections, strict=True
     ):
-        measured = _centred(observation.measured[selection.samples], selection.segment)
-        residual = _centred((response - observation.measured)[selection.samples], selection.segment)
+        measured = selection.centred(observation.measured)
+        residual = selection.centred(response - observation.measured)
         errors.append(np.sum(residual**2) / np.sum(measured**2))
         residual_power += float(np.sum(residual**2))
         power += float(np.sum(measured**2))
@@ -446,7 +475,7 @@ def _noises(
     for observation, response, selection in zip(
         problem.observations, problem.responses(best.values), selections, strict=True
     ):
-        residual = _centred((response - observation.measured)[selection.samples], selection.segment)
+        residual = selection.centred(response - observation.measured)
         n_offsets = observation.n_offsets
         dof = max(1, residual.size - n_offsets - len(best.values) / len(problem.observations))
         variance = float(np.sum(residual**2)) / dof
@@ -512,9 +541,3 @@ def _first_guess(prepared: Sequence[Prepared], prior: Prior) -> np.ndarray:
     guess = np.linalg.lstsq(np.concatenate(rows), np.concatenate(targets), rcond=None)[0]
     lower, upper = prior.lower[:3], prior.upper[:3]
     return np.clip(np.where(guess > 0, guess, [50.0, 1.0, 0.05]), lower, upper)
-
-
-def _centred(values: np.ndarray, segment: np.ndarray) -> np.ndarray:
-    """Values without the mean of their segment."""
-    means = np.bincount(segment, values) / np.bincount(segment)
-    return values - means[segment]

@@ -21,7 +21,12 @@ import numpy as np
 
 from identifiability.inference.curvature import curvature
 from identifiability.inference.problem import Problem
-from identifiability.inference.proposals import StudentMixture, fitted_mixture, laplace_t
+from identifiability.inference.proposals import (
+    StudentMixture,
+    combined,
+    fitted_mixture,
+    laplace_t,
+)
 
 Step = Literal["laplace-t", "mixture-t", "differential evolution"]
 
@@ -31,6 +36,8 @@ ESS_LIMIT = 400.0
 # A share of the importance sample below this makes independent walkers stick for tens of steps.
 EFFICIENCY_LIMIT = 0.25
 
+# An optimum this far below the best, in log likelihood, holds no mass that matters.
+_NEGLIGIBLE = 15.0
 _TRIALS = 4096
 _WALKERS, _STEPS, _BURN = 512, 25, 5
 _PILOT_WALKERS, _PILOT_STEPS = 128, 400
@@ -94,7 +101,14 @@ class Posterior:
         return np.quantile(self.flat, [tail, 1 - tail], axis=0)
 
 
-def sample(problem: Problem, optimum: np.ndarray, *, seed: int, effort: float = 1.0) -> Posterior:
+def sample(
+    problem: Problem,
+    optimum: np.ndarray,
+    *,
+    seed: int,
+    local_optima: np.ndarray | None = None,
+    effort: float = 1.0,
+) -> Posterior:
     """Sample the posterior, climbing the ladder of proposals as far as needed.
 
     Parameters
@@ -104,6 +118,9 @@ def sample(problem: Problem, optimum: np.ndarray, *, seed: int, effort: float = 
         Maximum of the posterior, from `fit`.
     seed : int
         Every random number follows from it.
+    local_optima : array, shape (n, k), optional
+        Where other starts of the fit ended. Those that could hold mass get a component of their
+        own in the proposal: no walker would find them from the best one.
     effort : float
         Factor on the number of steps.
 
@@ -114,8 +131,8 @@ def sample(problem: Problem, optimum: np.ndarray, *, seed: int, effort: float = 
     """
     seeds = np.random.SeedSequence(seed).spawn(4)
     optimum = np.asarray(optimum, float)
-    proposal = laplace_t(optimum, curvature(problem, optimum).hessian, problem.lower, problem.upper)
-    why = []
+    proposal = _laplace(problem, optimum, local_optima)
+    why: list[str] = []
     start, efficiency = _try(problem, proposal, seeds[0])
     if efficiency >= EFFICIENCY_LIMIT:
         reason = f"the Laplace t reaches an importance efficiency of {efficiency:.2f}"
@@ -177,6 +194,27 @@ def diagnose(
         column(arviz.ess(data, method="tail", prob=(0.05, 0.95))),
         column(arviz.mcse(data, method="sd")),
     )
+
+
+def _laplace(
+    problem: Problem, optimum: np.ndarray, local_optima: np.ndarray | None
+) -> StudentMixture:
+    """Laplace t about the optimum, with smaller ones about other optima that could hold mass."""
+
+    def about(point: np.ndarray) -> StudentMixture:
+        hessian = curvature(problem, point).hessian
+        return laplace_t(point, hessian, problem.lower, problem.upper)
+
+    modes = [optimum]
+    top = float(problem.log_likelihood(optimum[None])[0])
+    for point in [] if local_optima is None else local_optima:
+        height = float(problem.log_likelihood(point[None])[0])
+        size = np.maximum(np.abs(point), 1e-3)
+        apart = all(np.max(np.abs(point - mode) / size) > 0.02 for mode in modes)
+        if apart and top - _NEGLIGIBLE < height < top - 1e-2:
+            modes.append(point)
+    shares = [1.0] if len(modes) == 1 else [0.8, *[0.2 / (len(modes) - 1)] * (len(modes) - 1)]
+    return combined([about(mode) for mode in modes], shares)
 
 
 def _state(points: np.ndarray, seed: np.random.SeedSequence) -> emcee.State:

@@ -198,7 +198,7 @@ def widths(
     best = fit(problem, starts)
     shape = curvature(problem, best.values)
     profiles = tuple(profile(problem, best.values, name) for name in problem.names)
-    posterior = sample(problem, best.values, seed=seed, effort=effort)
+    posterior = sample(problem, best.values, seed=seed, local_optima=best.reached, effort=effort)
     moments = None
     if referee and len(problem.names) <= 3:
         moments = quadrature(problem, best.values)

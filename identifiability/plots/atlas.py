@@ -312,7 +312,7 @@ def _image(
 
 
 def _short(value: float) -> str:
-    if value == 0 or 0.001 <= value < 1000:
+    if value == 0 or 0.001 <= value < 1e4:
         return f"{value:.2g}" if value < 100 else f"{value:.0f}"
     mantissa, exponent = f"{value:.0e}".split("e")
     return f"{mantissa}e{int(exponent)}".replace("-", "−")

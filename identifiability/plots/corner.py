@@ -78,6 +78,7 @@ def corner_figure(result: Widths, model: Model, *, title: str = "") -> Figure:
                 Line2D([], [], color=VERMILLION, label="quadratic: Hessian (39.3 % in 2-D)"),
                 Line2D([], [], color=GREEN, ls="--", label="profile likelihood"),
                 Line2D([], [], color=BLACK, marker="+", ls=":", label="optimum"),
+                *(Line2D([], [], ls="none", label=f"{r.name}: {r.verdict}") for r in result.rows),
             ],
             loc="upper right",
             bbox_to_anchor=(0.985, 0.985),
@@ -85,8 +86,6 @@ def corner_figure(result: Widths, model: Model, *, title: str = "") -> Figure:
             title=textwrap.fill(title, 44) or None,
             title_fontsize=12,
         )
-        verdicts = ", ".join(f"{row.name} {row.verdict}" for row in result.rows)
-        figure.text(0.5, 0.012, f"quadratic width: {verdicts}", ha="center", fontsize=11)
     return figure
 
 

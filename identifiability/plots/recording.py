@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import matplotlib.pyplot as plt
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -19,10 +18,10 @@ def overlay_figure(result: RecordingFit) -> Figure:
     """
     shown = result.prepared[:_MOST_TRIALS]
     with styled():
-        figure, axes = plt.subplots(
+        figure = Figure(figsize=(max(7.5, 3.4 * len(shown)), 7.2))
+        axes = figure.subplots(
             3,
             len(shown),
-            figsize=(max(7.5, 3.4 * len(shown)), 7.2),
             sharex="col",
             sharey="row",
             squeeze=False,
@@ -64,7 +63,8 @@ def windows_figure(result: RecordingFit) -> Figure:
     parameters = result.problem.model.parameters
     lengths = [1000 * w.window for w in result.windows]
     with styled():
-        figure, axes = plt.subplots(1, len(rows), figsize=(3.6 * len(rows), 3.8), squeeze=False)
+        figure = Figure(figsize=(3.6 * len(rows), 3.8))
+        axes = figure.subplots(1, len(rows), squeeze=False)
         for i, (panel, row) in enumerate(zip(axes[0], rows, strict=True)):
             inside = [w.widths.rows[i] for w in result.windows]
             centres = np.array([r.optimum for r in inside])

@@ -44,7 +44,6 @@ _STYLE: Any = {
     "lines.markersize": 5,
     "image.cmap": MAP,
     "figure.constrained_layout.use": True,
-    "figure.dpi": DPI,
     "savefig.dpi": DPI,
 }
 

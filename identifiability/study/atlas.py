@@ -63,7 +63,7 @@ class Cell:
     T: float
     perturbation: str
     reading: str
-    I: float = 0.1  # noqa: E741 -- the field's symbol
+    I: float = 0.1
     dE: float = 1e-3
     rate: float = 1000.0
     correlation_time: float = 0.0
@@ -111,7 +111,7 @@ class Model(NamedTuple):
     K_CE: float
     B_CE: float
     K_SE: float
-    I: float  # noqa: E741 -- the field's symbol
+    I: float
 
 
 @dataclass(frozen=True)
@@ -215,7 +215,7 @@ class Plan:
         T: float,
         perturbation: str,
         reading: str,
-        I: float = 0.1,  # noqa: E741
+        I: float = 0.1,
     ) -> Cell:
         return Cell(
             K_CE,

@@ -307,14 +307,32 @@ the smallest effective sample size {sampler["ess_bulk_smallest"]:.0f} in the bul
 {sampler["ess_tail_smallest"]:.0f} in the tails (limit {limits["ess_limit"]:g}).
 {f"{failing} did not converge." if failing else "All converged."}"""
     if referee["of"]:
-        worst = referee["worst"]
         text += f"""
 
 Every standard deviation was also computed without random numbers, by quadrature. Over
-{referee["of"]} of them the difference, in units of its Monte Carlo error, has a root mean square
-of {referee["rms"]:.2f} (1 is expected) and is at most {referee["largest"]:.1f} (the largest of so
-many random numbers would come to about {referee["expected_largest"]:.1f}); in relative terms it
-is at most {percent(referee["largest_relative"])}. The largest is in the cell {_place(worst)}."""
+{referee["of"]} of them the difference, in units of its Monte Carlo error, has a root mean square of
+{referee["rms"]:.2f} (1 is expected) and is at most {referee["largest"]:.1f} (the largest of so many
+random numbers would come to about {referee["expected_largest"]:.1f}); in relative terms it is at
+most {percent(referee["largest_relative"])}."""
+        disagreeing = referee["disagreeing"]
+        if disagreeing:
+            rows = [
+                [
+                    _place(cell),
+                    cell["verdict"],
+                    cell["parameter"],
+                    number(cell["sampled"]),
+                    number(cell["integrated"]),
+                ]
+                for cell in disagreeing[:MOST_LISTED]
+            ]
+            text += f"""
+
+More than {referee["limit"]:g} Monte Carlo errors are no chance. This is so in
+{_cells(len(disagreeing))}. One of the two methods has missed a part of the posterior there, such as
+a second, separate optimum, and the verdict is not to be relied on:
+
+{_table(["Cell", "Verdict", "", "sampled sd", "integrated sd"], rows)}"""
     return text
 
 

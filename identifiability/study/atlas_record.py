@@ -26,10 +26,12 @@ from identifiability.study.store import CELL
 SCHEMA = 1
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 # Classes of the optimum's distance from the nearest lower bound, in quadratic widths.
-DISTANCES = (0.0, 1.0, 2.0, 3.0, 4.0, 6.0, np.inf)
+DISTANCES = (0.0, 1.0, 2.0, 3.0, 5.0, 10.0, 15.0, np.inf)
 
 # From this distance on, an optimum counts as lying away from impossible values.
 AWAY = 2.0
+# Monte Carlo errors beyond which sampled and integrated widths do not differ by chance.
+DISAGREEMENT = 5.0
 
 Record = dict[str, Any]
 
@@ -294,7 +296,19 @@ def _referee(done: xr.Dataset) -> Record:
     finite = off.values[np.isfinite(off.values)]
     if not finite.size:
         return {"of": 0}
-    worst = done.isel(cell=int(np.argmax(abs(off).max("parameter").values)))
+    disagreeing = []
+    for i in np.flatnonzero((abs(off) > DISAGREEMENT).any("parameter").values):
+        cell = done.isel(cell=i)
+        worst = cell.isel(parameter=int(np.nanargmax(abs(off).isel(cell=i).values)))
+        disagreeing.append(
+            {
+                **{name: cell[name].item() for name in CELL},
+                "parameter": worst["parameter"].item(),
+                "sampled": worst["posterior_sd"].item(),
+                "integrated": worst["quadrature_sd"].item(),
+                "verdict": cell["verdict"].item(),
+            }
+        )
     return {
         "of": int(finite.size),
         "rms": float(np.sqrt(np.mean(finite**2))),
@@ -302,5 +316,6 @@ def _referee(done: xr.Dataset) -> Record:
         # What the largest of so many standard normal numbers comes to, in the middle.
         "expected_largest": float(scipy.stats.norm.isf((1 - 0.5 ** (1 / finite.size)) / 2)),
         "largest_relative": float(np.nanmax(np.abs(relative))),
-        "worst": {name: worst[name].item() for name in CELL},
+        "limit": DISAGREEMENT,
+        "disagreeing": disagreeing,
     }

@@ -49,9 +49,8 @@ def number(value: float, digits: int = 3) -> str:
     if 0 < abs(value) < 1e-3:
         mantissa, exponent = f"{value:.1e}".split("e")
         return f"{mantissa} × 10{str(int(exponent)).translate(_SUPERSCRIPTS)}"
-    if abs(value) >= 10 ** (digits - 1):
-        return f"{value:.0f}"
-    return f"{value:#.{digits}g}"
+    text = f"{value:.0f}" if abs(value) >= 10 ** (digits - 1) else f"{value:#.{digits}g}"
+    return text.rstrip(".").replace("-", "−")
 
 
 def percent(fraction: float) -> str:
@@ -293,8 +292,9 @@ The optimum is K = {number(B["K"])}, and every method we tried finds it: least s
 starts (E* = {number(B["E"], 2)}), and the Nelder-Mead simplex that the paper used, with the default
 tolerances of MATLAB's `fminsearch`, started at K = 50, B = 1, I = 0.1
 (K = {number(simplex["K"])}, B = {number(simplex["B"])}, E = {number(simplex["E"], 2)}). So a loose
-tolerance of the simplex does not explain K = {number(valley["K"], 2)}. What makes such a value
-possible is that E is a flat valley along K: at K = {number(valley["K"], 2)}, with B and I fitted
+tolerance of the simplex does not by itself explain K = {number(valley["K"], 2)}. What makes such
+a value possible is that E is a flat valley along K: at K = {number(valley["K"], 2)}, with B and I
+fitted
 anew, E is only {number(valley["E_unbounded"], 2)} if B may be negative
 (B = {number(valley["B_unbounded"], 2)}), and {number(valley["E"], 2)} if it may not
 (B = {number(valley["B"], 2)}). Both lie below the ΔE of {number(record["dE"], 1)} that, the paper
@@ -570,7 +570,9 @@ def _grids(record: Record) -> str:
         for T, e in record["errors"].items()
     ]
     several = sum(m["cells"] for m in record["several_minima"] if m["perturbation"] == "impulse")
-    two_minima = f"In {several} cells of all ratios both are minima of E." if several else ""
+    two_minima = (
+        f"In {several} cells of all ratios and windows both are minima of E." if several else ""
+    )
     others = ""
     if not record["quick"]:
         others = f"""
