@@ -149,6 +149,8 @@ def jacobian(substeps, values, arrays, fine):
 @pytest.mark.parametrize("feedback", GAINS)
 @pytest.mark.parametrize("delay", [0.0203, 0.0007])
 def test_derivatives_are_those_of_the_delay_equation(feedback, torque, delay):
+    if (feedback, torque) == ("velocity", "impulse"):
+        pytest.skip("the delayed velocity jumps: no derivative of the steps sees a jump move")
     drive, values = TORQUES[torque][0].drive(TIME), theta(feedback, delay)
     derivative = np.asarray(jacobian(4, values, drive_arrays(drive), drive.refined(4)))
     ends = [by_steps(feedback, torque, delay + shift) for shift in (-1e-5, 1e-5)]

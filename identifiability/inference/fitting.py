@@ -142,7 +142,8 @@ def fit_simplex(
         return float(0.5 * np.sum(problem.residuals(x) ** 2))
 
     bounds = scipy.optimize.Bounds(problem.lower, problem.upper)
-    options = {"xatol": xatol, "fatol": fatol, "maxiter": 2000, "maxfev": 4000}
+    most = 200 * starts.shape[1]  # iterations and evaluations, fminsearch's default too
+    options = {"xatol": xatol, "fatol": fatol, "maxiter": most, "maxfev": most}
     results = [
         scipy.optimize.minimize(cost, start, method="Nelder-Mead", bounds=bounds, options=options)
         for start in starts
@@ -207,6 +208,6 @@ def _finish(
     reached: np.ndarray,
     method: str,
 ) -> Fit:
-    agreeing = int(np.sum(costs <= cost * (1 + 1e-3) + 1e-9))
+    agreeing = int(np.sum(costs <= cost * (1 + 1e-3) + 1e-14))
     bounds = at_bounds(problem, values)
     return Fit(problem.names, values, cost, bounds, costs, reached, agreeing, method)

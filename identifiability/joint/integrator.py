@@ -1,7 +1,9 @@
 """Fixed-step Runge-Kutta integration of any joint model, with delayed motion.
 
 The classical fourth-order scheme; the past motion is kept at every step and read between steps by
-Hermite interpolation, so a derivative with respect to a delay is right too.
+Hermite interpolation, so a derivative with respect to a delay is right too. The one exception is an
+ideal torque impulse under delayed velocity feedback: the velocity jumps, and what moves with the
+delay is then a jump inside a step, which no derivative of the steps can see.
 """
 
 from __future__ import annotations
@@ -85,16 +87,18 @@ def _torque_driven(
         index, applied = inputs
         now = index * step
 
-        def recall(time: Array, state: Array, here: Motion) -> list[Motion]:
+        def recall(stage: int, here: Motion) -> list[Motion]:
+            time = now + 0.5 * stage * step
             return [
-                here if d is None else _recall(carry.history, index, step, time - d, state)
+                here
+                if d is None
+                else _recall(carry.history, index, step, time - d, carry.state, stage == 2)
                 for d in delays
             ]
 
         def stage_rates(state: Array, stage: int) -> Array:
             here = Motion(state[0], state[1])
-            past = recall(now + 0.5 * stage * step, carry.state, here)
-            return rates(state, applied[stage], past)
+            return rates(state, applied[stage], recall(stage, here))
 
         first = stage_rates(carry.state, 0)
         arrived = _rk4(stage_rates, carry.state, step, first)
@@ -120,9 +124,17 @@ def _torque_driven(
     return jnp.append(angles, carry.state[0])
 
 
-def _recall(history: Array, index: Array, step: Array, time: Array, state: Array) -> Motion:
-    """Motion at `time`, before or within step `index`, which starts in `state`; rest before 0."""
-    slot = jnp.floor(jax.lax.stop_gradient(time / step)).astype(int)
+def _recall(
+    history: Array, index: Array, step: Array, time: Array, state: Array, ends_step: bool
+) -> Motion:
+    """Motion at `time`, before or within step `index`, which starts in `state`; rest before 0.
+
+    Where `time` is that of a jump, the end of a step sees the motion before it, other stages the
+    motion after it.
+    """
+    place = jax.lax.stop_gradient(time / step)
+    slot = jnp.ceil(place - 1e-6) - 1 if ends_step else jnp.floor(place + 1e-6)
+    slot = slot.astype(int)
     known = jnp.clip(slot, 0, jnp.maximum(index - 1, 0))
     angle0, velocity0, acceleration0, angle1, velocity1, acceleration1 = history[known]
     s = time / step - known
@@ -137,8 +149,8 @@ def _recall(history: Array, index: Array, step: Array, time: Array, state: Array
     )
     within = slot >= index
     return Motion(
-        jnp.where(time < 0, 0.0, jnp.where(within, present.angle, angle)),
-        jnp.where(time < 0, 0.0, jnp.where(within, present.velocity, velocity)),
+        jnp.where(slot < 0, 0.0, jnp.where(within, present.angle, angle)),
+        jnp.where(slot < 0, 0.0, jnp.where(within, present.velocity, velocity)),
     )
 
 
@@ -152,6 +164,25 @@ def _hermite(s: Array, step: Array, y0: Array, d0: Array, y1: Array, d1: Array) 
     )
 
 
+def _quintic(s: Array, step: Array, start: Array, end: Array) -> tuple[Array, Array]:
+    """Value and slope of the quintic through two angles, velocities and accelerations."""
+    (y0, d0, a0), (y1, d1, a1) = start, end
+    rise, d0, d1, a0, a1 = y1 - y0, step * d0, step * d1, step**2 * a0, step**2 * a1
+    coefficients = (
+        y0,
+        d0,
+        a0 / 2,
+        10 * rise - 6 * d0 - 4 * d1 - 1.5 * a0 + 0.5 * a1,
+        -15 * rise + 8 * d0 + 7 * d1 + 1.5 * a0 - a1,
+        6 * rise - 3 * d0 - 3 * d1 - 0.5 * a0 + 0.5 * a1,
+    )
+    value = sum((c * s**k for k, c in enumerate(coefficients)), start=jnp.zeros(()))
+    slope = sum(
+        (k * c * s ** (k - 1) for k, c in enumerate(coefficients) if k), start=jnp.zeros(())
+    )
+    return value, slope / step
+
+
 def _angle_driven(
     model: Model, theta: ArrayLike, step: Array, fine: Array, signals: Array, substeps: int
 ) -> Array:
@@ -160,22 +191,13 @@ def _angle_driven(
     n_intervals = fine.shape[0]
 
     def motion_at(time: Array) -> Motion:
-        """Imposed motion at any time: its cubic within the interval, at rest before the record."""
+        """Imposed motion at any time: its quintic within the interval, at rest before the record."""
         interval = step * substeps
         slot = jnp.clip(
             jnp.floor(jax.lax.stop_gradient(time / interval)).astype(int), 0, n_intervals - 1
         )
-        (angle, velocity, acceleration), ends = fine[slot, 0], fine[slot, -1]
-        jerk = (ends[2] - acceleration) / interval
-        dt = time - slot * interval
-        return Motion(
-            jnp.where(
-                time < 0,
-                signals[0, 0],
-                angle + dt * velocity + dt**2 / 2 * acceleration + dt**3 / 6 * jerk,
-            ),
-            jnp.where(time < 0, 0.0, velocity + dt * acceleration + dt**2 / 2 * jerk),
-        )
+        angle, velocity = _quintic(time / interval - slot, interval, fine[slot, 0], fine[slot, -1])
+        return Motion(jnp.where(time < 0, signals[0, 0], angle), jnp.where(time < 0, 0.0, velocity))
 
     def react(time: Array, imposed: Array, internal: Array) -> tuple[Array, Array]:
         motion = Motion(imposed[0], imposed[1])

@@ -323,25 +323,36 @@ def prbs(time: np.ndarray, *, amplitude: float, dwell: float, seed: int) -> Samp
 
 
 def imposed_motion(time: np.ndarray, angle: np.ndarray) -> Drive:
-    """Drive of an imposed angle: angle, velocity and acceleration of its cubic spline.
+    """Drive of an imposed angle: angle, velocity and acceleration of its quintic spline.
+
+    A cubic spline would do for the angle, but its second derivative falls short by (w h)²/12 at a
+    frequency w sampled at intervals h, and the fitted inertia with it.
 
     Parameters
     ----------
     time : array, shape (n,)
         Sample times [s].
     angle : array, shape (n,)
-        Imposed angle [rad].
+        Imposed angle [rad], at least six samples.
 
     Returns
     -------
     Drive
         With three signals: angle [rad], velocity [rad/s], acceleration [rad/s²].
+
+    Raises
+    ------
+    InputError
+        With fewer than six samples, or samples that are not uniform in time.
     """
+    time, angle = np.asarray(time, float), np.asarray(angle, float)
     interval = _uniform_interval(time)
-    spline = scipy.interpolate.CubicSpline(np.asarray(time, float), np.asarray(angle, float))
-    states = np.column_stack([spline(time, nu) for nu in range(4)])
-    # A cubic's derivatives chain into each other: phi' = w1, w1' = w2, w2' = w3, w3' = 0.
-    return Drive(interval, np.eye(4, k=1), np.eye(4)[:3], states, np.zeros(np.size(time)))
+    if time.size < 6:
+        raise InputError(f"found an imposed angle of {time.size} samples, expected at least six")
+    spline = scipy.interpolate.make_interp_spline(time, angle, k=5)
+    states = np.column_stack([spline(time, nu) for nu in range(6)])
+    # A polynomial's derivatives chain into each other: phi' = w1, w1' = w2 and so on.
+    return Drive(interval, np.eye(6, k=1), np.eye(6)[:3], states, np.zeros(time.size))
 
 
 PERTURBATIONS: dict[str, type[Perturbation]] = {

@@ -5,6 +5,7 @@ from __future__ import annotations
 import textwrap
 
 import corner
+import matplotlib as mpl
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -43,9 +44,9 @@ def corner_figure(result: Widths, model: Model, *, title: str = "") -> Figure:
     margin = 0.04 * (high - low)
     limits = list(zip(low - margin, high + margin, strict=True))
     k = len(names)
-    with styled():
+    # corner places its panels itself.
+    with styled(), mpl.rc_context({"figure.constrained_layout.use": False}):
         figure = Figure(figsize=(2.6 * k + 1.2, 2.6 * k + 1.2))
-        figure.set_layout_engine("none")
         corner.corner(
             draws,
             fig=figure,

@@ -300,11 +300,11 @@ def _trust(record: Record) -> str:
 ## Whether the sampled widths can be trusted
 
 Each posterior was sampled by emcee in four independent ensembles, with the first of three
-proposals that works (*laplace-t*: a t density with the ellipse's shape; *mixture-t*: several of
-them, fitted to a pilot run; *differential evolution*): {steps} of {sampler["of"]} cells. The
-largest R-hat across ensembles is {sampler["rhat_largest"]:.4f} (limit {limits["rhat_limit"]:g}),
-the smallest effective sample size {sampler["ess_bulk_smallest"]:.0f} in the bulk and
-{sampler["ess_tail_smallest"]:.0f} in the tails (limit {limits["ess_limit"]:g}).
+proposals that works (*laplace-t*: t densities with the shape of the ellipse at every optimum;
+*mixture-t*: such densities fitted to a pilot run; *differential evolution*): {steps} of
+{sampler["of"]} cells. The largest R-hat across ensembles is {sampler["rhat_largest"]:.4f} (limit
+{limits["rhat_limit"]:g}), the smallest effective sample size {sampler["ess_bulk_smallest"]:.0f} in
+the bulk and {sampler["ess_tail_smallest"]:.0f} in the tails (limit {limits["ess_limit"]:g}).
 {f"{failing} did not converge." if failing else "All converged."}"""
     if referee["of"]:
         text += f"""

@@ -529,4 +529,5 @@ class _Progress:
             left = self.total - finished
             if left:
                 text += f", {tqdm.format_interval(left / rate)} left"
-        print(text, file=self.stream, flush=True)
+        self.stream.write(text + "\n")
+        self.stream.flush()

@@ -1,0 +1,353 @@
+"""The sampler against deterministic integration, its repeatability, and whether it owns up."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+import scipy.stats
+import xarray
+from cases import SPREAD, Case, fit_of, moments_of, problem_of, seed_of, widths_of
+
+from identifiability.inference import sampling
+from identifiability.inference.curvature import curvature
+from identifiability.inference.proposals import StudentMixture, laplace_t
+from identifiability.inference.sampling import diagnose, sample
+from identifiability.study.setting import Setting
+
+# Truncated by a bound and curved, so that a wrong sampler has something to get wrong.
+REFERENCE = Case(32, 3.2, 100, 0.1)
+GAUSSIAN = Case(32, 3.2, 100, 0.1, "energy")
+
+
+def scores(posterior, moments):
+    """Differences from the quadrature, in Monte Carlo errors: of the means, then of the sds."""
+    mean_mcse = posterior.sd / np.sqrt(posterior.ess_bulk)
+    of_mean = (posterior.mean - moments.mean) / mean_mcse
+    of_sd = (posterior.sd - moments.sd) / posterior.sd_mcse
+    return np.concatenate([of_mean, of_sd])
+
+
+def check(posterior, moments):
+    """The one check that right samplers pass and the wrong ones below must fail."""
+    assert np.all(np.abs(scores(posterior, moments)) < 4)
+
+
+def drawn(case, **options):
+    return sample(problem_of(case), fit_of(case).values, seed=seed_of(case), **options)
+
+
+# Right
+
+
+@pytest.mark.parametrize("case", SPREAD, ids=str)
+def test_sampler_agrees_with_quadrature(case):
+    posterior, moments = widths_of(case).posterior, widths_of(case).moments
+    assert posterior.converged
+    assert np.all(posterior.sd_mcse < 0.02 * posterior.sd)
+    assert moments.error < 0.05
+    check(posterior, moments)
+
+
+STEPS = {
+    "laplace-t": (0.25, 1.0),
+    # Limits that the proposals of the earlier steps cannot meet.
+    "mixture-t": (0.99, 1.0),
+    "differential evolution": (2.1, 0.2),
+}
+
+
+@pytest.mark.parametrize("step", STEPS)
+def test_every_step_of_the_ladder_agrees_with_quadrature(step, monkeypatch):
+    limit, effort = STEPS[step]
+    monkeypatch.setattr(sampling, "EFFICIENCY_LIMIT", limit)
+    posterior = drawn(REFERENCE, effort=effort)
+    assert posterior.step == step
+    assert posterior.converged
+    check(posterior, moments_of(REFERENCE))
+    if step != "laplace-t":
+        assert "Laplace t reaches an importance efficiency of only" in posterior.reason
+
+
+@pytest.mark.parametrize(
+    "case",
+    [Case(32, 3.2, 100, 0.05, bounded=False), Case(10, 2, 20, 0.05, bounded=False)],
+    ids=str,
+)
+def test_long_tails_are_sampled_or_owned_up_to(case):
+    """Without bounds these posteriors reach far beyond the Laplace approximation on one side."""
+    moments = moments_of(case)
+    for seed in range(4):
+        posterior = sample(problem_of(case), fit_of(case).values, seed=seed)
+        if posterior.converged:
+            check(posterior, moments)
+
+
+def test_a_box_that_cuts_most_of_the_proposal_off():
+    """A cell of the paper's grid: the box holds a twentieth of the Laplace approximation."""
+    case = Case(10, 2, 20, 0.05)
+    for seed in range(3):
+        posterior = sample(problem_of(case), fit_of(case).values, seed=seed)
+        assert posterior.converged
+        check(posterior, moments_of(case))
+
+
+def test_draws_lie_within_the_bounds_and_carry_their_density():
+    problem, posterior = problem_of(REFERENCE), drawn(REFERENCE)
+    assert np.all(posterior.flat >= problem.lower)
+    assert np.all(posterior.flat <= problem.upper)
+    some = posterior.draws[2, ::200]
+    expected = problem.log_posterior(some)
+    np.testing.assert_allclose(posterior.log_probability[2, ::200], expected, rtol=1e-9)
+    assert posterior.draws.shape[0] == sampling.N_ENSEMBLES
+    assert 0 < posterior.acceptance <= 1
+    low, high = posterior.interval(0.9)
+    inside = np.mean((posterior.flat >= low) & (posterior.flat <= high), axis=0)
+    np.testing.assert_allclose(inside, 0.9, atol=2e-3)
+
+
+# Repeatable
+
+
+def test_same_seed_same_bytes_and_numpys_generator_is_left_alone():
+    posteriors = []
+    for disturbance in (1, 2):
+        np.random.seed(disturbance)  # noqa: NPY002 -- the global generator is what is tested
+        before = np.random.get_state()  # noqa: NPY002
+        posteriors.append(drawn(REFERENCE))
+        after = np.random.get_state()  # noqa: NPY002
+        assert all(np.array_equal(b, a) for b, a in zip(before, after, strict=True))
+    one, other = posteriors
+    assert one.draws.tobytes() == other.draws.tobytes()
+    assert one.log_probability.tobytes() == other.log_probability.tobytes()
+
+
+def test_the_pilot_and_differential_evolution_are_repeatable(monkeypatch):
+    monkeypatch.setattr(sampling, "EFFICIENCY_LIMIT", 2.1)
+    posteriors = []
+    for disturbance in (1, 2):
+        np.random.seed(disturbance)  # noqa: NPY002
+        before = np.random.get_state()[1].tobytes()  # noqa: NPY002
+        posteriors.append(drawn(REFERENCE, effort=0.02))
+        assert np.random.get_state()[1].tobytes() == before  # noqa: NPY002
+    assert posteriors[0].step == "differential evolution"
+    assert posteriors[0].draws.tobytes() == posteriors[1].draws.tobytes()
+
+
+def test_another_seed_gives_other_draws_of_the_same_posterior():
+    one = drawn(REFERENCE)
+    other = sample(problem_of(REFERENCE), fit_of(REFERENCE).values, seed=one.seed + 1)
+    assert not np.array_equal(one.draws, other.draws)
+    # Ensembles do not repeat each other either.
+    assert not np.array_equal(one.draws[0], one.draws[1])
+    error = np.hypot(one.sd_mcse, other.sd_mcse)
+    assert np.all(np.abs(one.sd - other.sd) < 4 * error)
+
+
+# Wrong: what must fail the check above
+
+
+def test_a_noise_10_percent_too_large_is_noticed():
+    louder = dataclasses.replace(GAUSSIAN, dE=1.21 * GAUSSIAN.dE)
+    check(drawn(GAUSSIAN), moments_of(GAUSSIAN))
+    check(drawn(louder), moments_of(louder))
+    with pytest.raises(AssertionError):
+        check(drawn(louder), moments_of(GAUSSIAN))
+
+
+@pytest.mark.parametrize("case", [REFERENCE, GAUSSIAN], ids=str)
+def test_a_missing_proposal_ratio_is_noticed(case, monkeypatch):
+    monkeypatch.setattr(sampling, "EFFICIENCY_LIMIT", 0.0)
+    check(drawn(case), moments_of(case))
+    monkeypatch.setattr(StudentMixture, "log_density", lambda self, points: np.zeros(len(points)))
+    wrong = drawn(case)
+    assert wrong.step == "laplace-t"
+    assert wrong.converged
+    with pytest.raises(AssertionError):
+        check(wrong, moments_of(case))
+
+
+# Owning up
+
+
+@pytest.mark.parametrize("effort", [0.004, 0.01])
+def test_too_few_steps_do_not_pass_for_convergence(effort, monkeypatch):
+    # A handful of steps of dependent walkers cannot show how fast they forget where they began.
+    monkeypatch.setattr(sampling, "EFFICIENCY_LIMIT", 2.1)
+    posterior = drawn(REFERENCE, effort=effort)
+    assert posterior.step == "differential evolution"
+    assert not posterior.converged
+
+
+def test_walkers_that_begin_far_away_do_not_pass_for_convergence(monkeypatch):
+    far = np.random.default_rng(0).uniform([800, 30, 0.5], [900, 40, 0.6], (5000, 3))
+    monkeypatch.setattr(sampling, "EFFICIENCY_LIMIT", 2.1)
+    monkeypatch.setattr(sampling, "_pilot", lambda *_: far)
+    posterior = drawn(REFERENCE, effort=0.05)
+    assert not posterior.converged
+    assert posterior.rhat.max() > sampling.RHAT_LIMIT
+    assert posterior.ess_bulk.min() < sampling.ESS_LIMIT
+
+
+def test_the_smallest_effort_still_takes_a_step():
+    assert drawn(REFERENCE, effort=1e-3).draws.shape[1] > 0
+
+
+def test_failed_steps_are_named(monkeypatch):
+    monkeypatch.setattr(sampling, "RHAT_LIMIT", 0.5)
+    posterior = drawn(REFERENCE, effort=0.04)
+    assert posterior.step == "differential evolution"
+    assert "the Laplace t did not converge" in posterior.reason
+    assert "the mixture did not converge" in posterior.reason
+    assert not posterior.converged
+
+
+# The proposal
+
+
+def test_proposal_density_is_that_of_scipy():
+    problem, best = problem_of(GAUSSIAN), fit_of(GAUSSIAN).values
+    hessian = curvature(problem, best).hessian
+    proposal = laplace_t(best, hessian, problem.lower, problem.upper)
+    shape = np.linalg.inv(hessian)
+    np.testing.assert_allclose(proposal.factors[0] @ proposal.factors[0].T, shape, rtol=1e-6)
+    points = proposal.draw(500, np.random.RandomState(0))  # noqa: NPY002 -- emcee's kind
+    expected = scipy.stats.multivariate_t(best, shape, df=5).logpdf(points)
+    np.testing.assert_allclose(proposal.log_density(points), expected, rtol=1e-6)
+
+
+def test_proposal_of_several_components():
+    rng = np.random.default_rng(0)
+    factors = np.stack([np.tril(rng.uniform(0.5, 1.5, (2, 2))) for _ in range(3)])
+    weights, means = np.array([0.2, 0.5, 0.3]), rng.normal(size=(3, 2))
+    wide = np.full(2, 1e9)
+    mixture = StudentMixture(weights, means, factors, 8.0, -wide, wide)
+    points = rng.normal(size=(50, 2))
+    parts = [
+        w * scipy.stats.multivariate_t(m, f @ f.T, df=8).pdf(points)
+        for w, m, f in zip(weights, means, factors, strict=True)
+    ]
+    np.testing.assert_allclose(np.exp(mixture.log_density(points)), np.sum(parts, axis=0))
+    sampled = mixture.draw(200_000, np.random.RandomState(0))  # noqa: NPY002
+    np.testing.assert_allclose(sampled.mean(axis=0), weights @ means, atol=0.02)
+
+
+def test_a_proposal_keeps_to_its_box():
+    eye = np.eye(2)[None]
+    box = StudentMixture(
+        np.ones(1), np.zeros((1, 2)), eye, 5.0, np.array([0.0, -1.0]), np.array([3.0, 2.0])
+    )
+    points = box.draw(20_000, np.random.RandomState(0))  # noqa: NPY002
+    assert np.all((points >= box.lower) & (points <= box.upper))
+    # Cut, not clipped: the share above a level is that of the density inside.
+    t = scipy.stats.multivariate_t(np.zeros(2), np.eye(2), df=5)
+    whole = t.cdf([3.0, 2.0], lower_limit=[0.0, -1.0])
+    part = t.cdf([3.0, 2.0], lower_limit=[1.0, -1.0])
+    assert np.mean(points[:, 0] > 1) == pytest.approx(part / whole, abs=0.015)
+
+
+# Diagnostics on chains whose properties are known
+
+
+def autoregressive(rho, chains=4, draws=10_000, seed=0):
+    shocks = np.random.default_rng(seed).standard_normal((chains, draws)) * np.sqrt(1 - rho**2)
+    chain = np.empty_like(shocks)
+    chain[:, 0] = shocks[:, 0] / np.sqrt(1 - rho**2)
+    for i in range(1, draws):
+        chain[:, i] = rho * chain[:, i - 1] + shocks[:, i]
+    return chain
+
+
+def rank_rhat(chains):
+    """Rank-normalised split R-hat, the larger of bulk and folded (Vehtari et al. 2021)."""
+    half = chains.shape[1] // 2
+    split = np.concatenate([chains[:, :half], chains[:, -half:]])
+
+    def normal_scores(x):
+        ranks = scipy.stats.rankdata(x).reshape(x.shape)
+        return scipy.stats.norm.ppf((ranks - 0.375) / (x.size + 0.25))
+
+    def plain(x):
+        within = x.var(axis=1, ddof=1).mean()
+        between = x.mean(axis=1).var(ddof=1)
+        return np.sqrt(((half - 1) / half * within + between) / within)
+
+    folded = np.abs(split - np.median(split))
+    return max(plain(normal_scores(split)), plain(normal_scores(folded)))
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.5, 0.9])
+def test_diagnostics_of_autoregressive_chains(rho):
+    chains = autoregressive(rho)
+    rhat, bulk, tail, mcse = (float(x[0]) for x in diagnose(chains[:, :, None], ("x",)))
+    assert rhat == pytest.approx(rank_rhat(chains), abs=1e-6)
+    assert rhat < 1.01
+    assert bulk == pytest.approx(chains.size * (1 - rho) / (1 + rho), rel=0.1)
+    assert tail < 1.3 * chains.size
+    # Squares of the chain have the autocorrelation rho².
+    squares = chains.size * (1 - rho**2) / (1 + rho**2)
+    assert mcse == pytest.approx(np.sqrt(1 / (2 * squares)), rel=0.15)
+
+
+def test_diagnostics_of_chains_that_disagree():
+    apart = autoregressive(0.5)
+    apart[0] += 1.0
+    wider = autoregressive(0.5)
+    wider[0] *= 2.0
+    rhat, bulk, _, _ = diagnose(np.stack([apart, wider], axis=-1), ("apart", "wider"))
+    np.testing.assert_allclose(rhat, [rank_rhat(apart), rank_rhat(wider)], atol=1e-6)
+    assert np.all(rhat > 1.03)
+    assert bulk[0] < 100
+
+
+def test_diagnostics_are_those_of_arviz():
+    import arviz
+
+    chains = np.stack([autoregressive(0.3, draws=500), autoregressive(0.8, draws=500)], axis=-1)
+    names = ("one", "two")
+    data = xarray.Dataset({n: (("chain", "draw"), chains[..., i]) for i, n in enumerate(names)})
+    rhat, bulk, tail, mcse = diagnose(chains, names)
+    for i, name in enumerate(names):
+        assert rhat[i] == float(arviz.rhat(data)[name])
+        assert bulk[i] == float(arviz.ess(data)[name])
+        assert tail[i] == float(arviz.ess(data, method="tail", prob=(0.05, 0.95))[name])
+        assert mcse[i] == float(arviz.mcse(data, method="sd")[name])
+
+
+# Calibration of the Monte Carlo errors, over many seeds
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("step", STEPS)
+@pytest.mark.parametrize("case", [REFERENCE, GAUSSIAN], ids=str)
+def test_monte_carlo_errors_are_calibrated(case, step, monkeypatch):
+    limit, effort = STEPS[step]
+    monkeypatch.setattr(sampling, "EFFICIENCY_LIMIT", limit)
+    best, moments = fit_of(case).values, moments_of(case)
+    runs = [
+        scores(sample(problem_of(case), best, seed=seed, effort=effort), moments)
+        for seed in range(20)
+    ]
+    spread = np.sqrt(np.mean(np.square(runs), axis=0))
+    assert np.all(spread < 1.6)
+    assert np.all(spread > 0.4)
+    assert np.all(np.abs(np.mean(runs, axis=0)) < 1.0)
+
+
+GRID = [
+    (K_CE, B_CE, factor * K_CE)
+    for K_CE in (10.0, 100.0, 200.0)
+    for B_CE in (2.0, 16.0, 30.0)
+    for factor in (2, 5, 10)
+]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("values", GRID, ids=str)
+@pytest.mark.parametrize("window", [0.05, 0.1, 0.2])
+def test_sampler_agrees_with_quadrature_over_the_papers_grid(values, window):
+    assert Setting(*values)
+    for reading in ("contour", "energy"):
+        case = Case(*values, window, reading)
+        posterior = drawn(case)
+        assert posterior.converged
+        check(posterior, moments_of(case))
