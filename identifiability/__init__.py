@@ -1,4 +1,4 @@
-"""Can the stiffness, damping and inertia fitted to a joint be believed?
+"""Whether the stiffness, damping and inertia fitted to a joint can be believed.
 
 The public names are those of ``__init__.pyi``; each is imported when it is first used, so that the
 command line answers at once.

@@ -3,6 +3,8 @@
 Nothing here uses the package.
 """
 
+from itertools import pairwise
+
 import numpy as np
 import scipy.integrate
 import scipy.signal
@@ -62,9 +64,7 @@ def kbi_transfer(K, B, I):
 def msm_transfer(K, B, I, K_SE):
     """Eq. 1 of Kistemaker & Rozendaal (2011): angle over torque."""
     numerator = [B, K + K_SE]
-    denominator = np.polyadd(
-        np.polymul([B, K], [K_SE]), np.polymul([I, 0.0, 0.0], [B, K + K_SE])
-    )
+    denominator = np.polyadd(np.polymul([B, K], [K_SE]), np.polymul([I, 0.0, 0.0], [B, K + K_SE]))
     return scipy.signal.lti(numerator, denominator)
 
 
@@ -89,7 +89,7 @@ def msm_by_ode(t, K, B, I, K_SE, torque, edges=(), impulse=0.0):
 
     stops = [t[0], *(e for e in edges if t[0] < e < t[-1]), t[-1]]
     x, angle = np.array([0.0, 0.0, impulse / lead]), np.zeros(len(t))
-    for begin, end in zip(stops[:-1], stops[1:], strict=True):
+    for begin, end in pairwise(stops):
         # Just inside the section, so that a jump at its end is not felt before it.
         drive = _within(torque, begin, end)
         inside = (t >= begin - 1e-12) & (t <= end + 1e-12)
@@ -134,7 +134,7 @@ def method_of_steps(rates, start, t, delay):
     """
     stops = np.append(np.arange(0.0, t[-1] - 1e-9 * delay, delay), t[-1])
     x, found, before = np.asarray(start, float), np.zeros((len(start), len(t))), None
-    for begin, end in zip(stops[:-1], stops[1:], strict=True):
+    for begin, end in pairwise(stops):
 
         def section(time, x, before=before):
             past = np.zeros_like(x) if before is None else before(time - delay)

@@ -263,13 +263,17 @@ def test_no_bare_asserts_on_input(module):
             ), f"{module}, line {node.lineno}"
 
 
-TEXTS = sorted(
-    path
-    for folder in (PACKAGE, "tests", "notebooks")
-    for path in (ROOT / folder).rglob("*")
-    if path.suffix in {".py", ".md", ".toml", ".ipynb", ".html", ".js", ".css"}
-    and not any(part.startswith(".") for part in path.relative_to(ROOT).parts)
-) + sorted(ROOT.glob("*.md")) + sorted(ROOT.glob("*.toml"))
+TEXTS = (
+    sorted(
+        path
+        for folder in (PACKAGE, "tests", "notebooks")
+        for path in (ROOT / folder).rglob("*")
+        if path.suffix in {".py", ".md", ".toml", ".ipynb", ".html", ".js", ".css"}
+        and not any(part.startswith(".") for part in path.relative_to(ROOT).parts)
+    )
+    + sorted(ROOT.glob("*.md"))
+    + sorted(ROOT.glob("*.toml"))
+)
 
 
 def test_nothing_is_left_to_be_done():

@@ -1,4 +1,4 @@
-"""Bad input to every command: one clear sentence, exit code 2, no traceback, nothing half-written."""
+"""Bad input to every command: one sentence, exit code 2, no traceback, nothing half-written."""
 
 import json
 
@@ -74,7 +74,10 @@ def trial(tmp_path):
     ("options", "words"),
     [
         (["--columns", "time=time_s:s", "angle=angle_rad:Nm", "torque=torque_Nm:Nm"], "Nm"),
-        (["--columns", "time=time_s:s", "angle=angle_rad:furlong", "torque=torque_Nm:Nm"], "furlong"),
+        (
+            ["--columns", "time=time_s:s", "angle=angle_rad:furlong", "torque=torque_Nm:Nm"],
+            "furlong",
+        ),
         (["--columns", "time=time_s:s", "angle=nothing:rad", "torque=torque_Nm:Nm"], "nothing"),
         (["--window", "5"], "window of 5 s"),
         (["--window", "-1"], "window of -1 s"),
@@ -102,7 +105,10 @@ def test_fit_refuses_bad_options(options, words, trial, tmp_path, capsys):
         (["--msm", 32, 3.2, 100, 0.1, "--noise", "loud"], "'loud'"),
         (["--msm", 32, 3.2, 100, 0.1, "--dE", -1], "dE = -1"),
         (["--msm", 32, 3.2, 100, 0.1, "--correlation-time", -1], "correlation time"),
-        (["--msm", 32, 3.2, 100, 0.1, "--perturbation", "pulse", "--rate", 130, "--window", 0.1], "between"),
+        (
+            ["--msm", 32, 3.2, 100, 0.1, "--perturbation", "pulse", "--rate", 130, "--window", 0.1],
+            "between",
+        ),
         (["--msm", 32, 3.2, 100, 0.1, "--seed", -2], "seed -2"),
     ],
 )

@@ -85,9 +85,7 @@ def respond(feedback, torque, delay, substeps):
 def errors(feedback, torque, delay, substeps):
     expected = by_steps(feedback, torque, delay)
     size = np.max(np.abs(expected))
-    return [
-        np.max(np.abs(respond(feedback, torque, delay, n) - expected)) / size for n in substeps
-    ]
+    return [np.max(np.abs(respond(feedback, torque, delay, n) - expected)) / size for n in substeps]
 
 
 def test_without_delay_the_oracle_and_the_model_are_kbi():
@@ -135,7 +133,9 @@ def test_a_delay_shorter_than_a_step(feedback):
         assert coarse < 1e-4
         assert fine < 1e-6
         undelayed = np.max(np.abs(respond(feedback, torque, 0.0, 4)))
-        moved = np.max(np.abs(respond(feedback, torque, 0.0003, 4) - respond(feedback, torque, 0, 4)))
+        moved = np.max(
+            np.abs(respond(feedback, torque, 0.0003, 4) - respond(feedback, torque, 0, 4))
+        )
         # The error is far below what the short delay itself changes.
         assert coarse * undelayed < 0.1 * moved
 

@@ -249,17 +249,14 @@ def test_gauss_newton_lacks_the_curvature_of_the_model():
     x, size = optimum(200).values, np.array([50.0, 1.0, 0.1])
     found = curvature(problem(200), x)
     jacobian = central_difference(lambda y: whitened(y, 200), x, size, 1e-4)
-    agree(found.gauss_newton * np.outer(size, size), jacobian.T @ jacobian * np.outer(size, size), 1e-7)
+    unit = np.outer(size, size)
+    agree(found.gauss_newton * unit, jacobian.T @ jacobian * unit, 1e-7)
 
     def slopes(point):
         return central_difference(lambda y: whitened(y, 200), point, size, 1e-3)
 
     second = np.einsum("n,nij->ij", whitened(x, 200), central_difference(slopes, x, size, 1e-3))
-    agree(
-        (found.hessian - found.gauss_newton) * np.outer(size, size),
-        second * np.outer(size, size),
-        1e-4,
-    )
+    agree((found.hessian - found.gauss_newton) * unit, second * unit, 1e-4)
     # It matters here, and it does not where the model can fit.
     assert np.abs(found.hessian / found.gauss_newton - 1).max() > 0.05
     able = Problem(

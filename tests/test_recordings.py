@@ -1,4 +1,4 @@
-"""Fits of recordings: known joints are found again, and the real ones give what they gave elsewhere."""
+"""Fits of recordings: known joints are found again, real ones give what they gave elsewhere."""
 
 import json
 
@@ -6,6 +6,8 @@ import numpy as np
 import pytest
 
 from identifiability.cli.main import main
+from identifiability.inference.fitting import fit
+from identifiability.inference.problem import Prior
 from identifiability.inference.recordings import (
     fit_recordings,
     goodness,
@@ -15,8 +17,6 @@ from identifiability.inference.recordings import (
     whole,
     windows,
 )
-from identifiability.inference.fitting import fit
-from identifiability.inference.problem import Prior
 from identifiability.joint.model import KBI
 from identifiability.measurement import example
 from identifiability.measurement.noise import Noise
@@ -37,9 +37,7 @@ def imposed_angle_trial(noise_sd, seed=3):
         velocity += size * (30 * s**2 - 60 * s**3 + 30 * s**4) / 0.04
         acceleration += size * (60 * s - 180 * s**2 + 120 * s**3) / 0.04**2
     torque = K * angle + B * velocity + INERTIA * acceleration + 3.0
-    return Trial(
-        time, torque + noise_sd * random.standard_normal(time.size), angle, driven="angle"
-    )
+    return Trial(time, torque + noise_sd * random.standard_normal(time.size), angle, driven="angle")
 
 
 @pytest.fixture(scope="module")
@@ -64,7 +62,9 @@ def test_a_wrong_sign_of_the_torque_is_not_fitted():
     trial = imposed_angle_trial(0.05)
     wrong = Trial(trial.time, -trial.torque, trial.angle, driven="angle")
     prepared = prepare(wrong, KBI())
-    problem = recording_problem([prepared], [whole(prepared)], model=KBI(), prior=Prior.physical(KBI()))
+    problem = recording_problem(
+        [prepared], [whole(prepared)], model=KBI(), prior=Prior.physical(KBI())
+    )
     best = fit(problem, np.array([[K, B, INERTIA]]))
     assert goodness(problem, best, [whole(prepared)]).vaf < 10
 

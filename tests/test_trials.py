@@ -240,7 +240,7 @@ def test_notes_accumulate_and_the_source_stays():
 
 # Onsets
 
-I = np.arange(1000)  # noqa: E741
+I = np.arange(1000)
 PERTURBATIONS = {
     "pulse": np.where((I > 50) & (I <= 100), 4.0, 0.0),
     "short pulse": np.where((I > 50) & (I <= 55), -60.0, 0.0),

@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 import xarray
-from cases import A, SPREAD, Case, fit_of, problem_of, widths_of
+from cases import SPREAD, A, Case, fit_of, problem_of, widths_of
 
 from identifiability.inference import widths as widths_module
 from identifiability.inference.archive import package_version, to_datatree, write_netcdf

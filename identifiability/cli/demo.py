@@ -72,8 +72,9 @@ What was found
   {", ".join(quadratic)} Nm/rad by the paper's quadratic estimate, and by
   {", ".join(spread)} Nm/rad when the posterior is sampled within physical bounds.
   The shipped trials of the same joint, simulated with noise, give
-  K = {", ".join(f"{w.optimum:.0f} ± {w.posterior_sd:.1g}" for w in by_window)} Nm/rad in these windows
-  after the pulse, with a VAF of {recording.goodness.vaf:.2f} % over the whole: a good fit, a wrong model."""
+  K = {", ".join(f"{w.optimum:.0f} ± {w.posterior_sd:.1g}" for w in by_window)} Nm/rad
+  in these windows after the pulse, with a VAF of {recording.goodness.vaf:.2f} % over the whole:
+  a good fit of a wrong model."""
     )
     for window, result in zip(lengths, results, strict=True):
         print(f"\nThe paper's setting, T = {1000 * window:g} ms: {result.verdict}; {result.reason}")

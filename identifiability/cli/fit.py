@@ -220,7 +220,8 @@ def summary(result: RecordingFit) -> str:
             f"{r.name} {r.optimum:.4g} ± {r.posterior_sd:.2g}" for r in w.widths.rows
         )
         lines.append(
-            f"T = {1000 * w.window:g} ms ({w.n_windows} windows): {values}; VAF {w.goodness.vaf:.2f} %"
+            f"T = {1000 * w.window:g} ms ({w.n_windows} windows): {values}; "
+            f"VAF {w.goodness.vaf:.2f} %"
         )
     if result.held_out is not None:
         held = result.held_out

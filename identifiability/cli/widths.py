@@ -1,4 +1,4 @@
-"""``identifiability widths``: one setting of the musculoskeletal model, every width, a corner plot."""
+"""``identifiability widths``: one musculoskeletal setting, every width, a corner plot."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def add_parser(commands: Any) -> None:
     parser = commands.add_parser(
         "widths",
         help="widths of K, B and I for one musculoskeletal setting: quadratic against posterior",
-        description="Fit KBI to the response of a musculoskeletal model whose parameters are known, "
+        description="Fit KBI to the response of a musculoskeletal model of known parameters, "
         "and compare the quadratic (Hessian) widths of K, B and I with slices, profiles and the "
         "posterior sampled by MCMC, under noise matched to the paper's dE.",
     )

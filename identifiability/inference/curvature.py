@@ -1,4 +1,4 @@
-"""Widths from the shape of the likelihood at its top: the paper's quadratic estimate and its kin."""
+"""Widths from the shape of the likelihood at its top: the quadratic estimate and its kin."""
 
 from __future__ import annotations
 

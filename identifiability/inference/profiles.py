@@ -11,7 +11,7 @@ from identifiability.inference.conditional import conditional_optima
 from identifiability.inference.curvature import curvature
 from identifiability.inference.problem import Problem
 
-# Drops of the log likelihood at the ends of 68.27 and 95 % intervals of one parameter (chi-squared).
+# Drops of the log likelihood at the ends of one parameter's 68.27 and 95 % intervals (chi²).
 DROPS = {"68": 0.5, "95": 1.9207}
 _REACH = 0.5 * 12.0**2
 _POINTS = 24

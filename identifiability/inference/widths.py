@@ -1,4 +1,4 @@
-"""How well each parameter is known, read in every usual way, and whether the quadratic one holds."""
+"""How well each parameter is known, in every usual reading, and whether the quadratic holds."""
 
 from __future__ import annotations
 
@@ -239,6 +239,7 @@ def _row(
         pinned=path.pinned,
         at_bound=best.at_bound,
         converged=posterior.converged,
+        referee=_disagreement(posterior, moments, i),
     )
     return Width(
         name=name,
@@ -281,6 +282,7 @@ def judge(
     pinned: tuple[str, ...],
     at_bound: tuple[str, ...],
     converged: bool,
+    referee: str = "",
 ) -> tuple[Verdict, str]:
     """Judge whether the quadratic width of one parameter describes its posterior, and why not.
 
@@ -289,6 +291,8 @@ def judge(
     the first of these that holds is the reason: the likelihood closes the profile on neither side
     (non-identifiable); a bound cuts it, the parameter's own or another's (truncated); the tails
     are heavy; or the likelihood is not quadratic over the width of the posterior (curved).
+    Where the sampler did not converge, or `referee` says how the quadrature contradicts it, there
+    is nothing to judge by.
 
     Returns
     -------
@@ -296,6 +300,8 @@ def judge(
     """
     if not converged:
         return "not converged", "the sampler did not converge, so there is no posterior to judge by"
+    if referee:
+        return "not converged", referee
     ratio = posterior_sd / quadratic
     size = f"the posterior sd of {name} is {ratio:.2f} times the quadratic width"
     if not np.isfinite(quadratic):
@@ -330,6 +336,19 @@ def judge(
             f"{size}: its 95 % interval is {stretch:.2f} times its 68 % one, a Gaussian's 1.96",
         )
     return "curved", f"{size}: the likelihood is not quadratic over the width of the posterior"
+
+
+def _disagreement(posterior: Posterior, moments: Moments | None, i: int) -> str:
+    """Say where sampler and quadrature differ by more than chance and more than a twentieth."""
+    if moments is None:
+        return ""
+    sampled, integrated = float(posterior.sd[i]), float(moments.sd[i])
+    if abs(sampled - integrated) <= max(5 * posterior.sd_mcse[i], 0.05 * integrated):
+        return ""
+    return (
+        f"sampling gives {posterior.names[i]} a standard deviation of {sampled:.3g}, quadrature "
+        f"{integrated:.3g}: one of them misses part of the posterior"
+    )
 
 
 def _plain(value: Any) -> Any:

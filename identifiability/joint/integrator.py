@@ -62,7 +62,7 @@ def integrate(
 
 
 def _rk4(rates: Callable[[Array, int], Array], state: Array, step: Array, first: Array) -> Array:
-    """One step; `rates` takes the state and the stage's place in the step: 0, 1 (middle), 2 (end)."""
+    """One step; `rates` takes the state and the place in the step: 0, 1 (middle), 2 (end)."""
     second = rates(state + 0.5 * step * first, 1)
     third = rates(state + 0.5 * step * second, 1)
     fourth = rates(state + step * third, 2)
@@ -191,7 +191,7 @@ def _angle_driven(
     n_intervals = fine.shape[0]
 
     def motion_at(time: Array) -> Motion:
-        """Imposed motion at any time: its quintic within the interval, at rest before the record."""
+        """Imposed motion at any time: its quintic within the interval, rest before it."""
         interval = step * substeps
         slot = jnp.clip(
             jnp.floor(jax.lax.stop_gradient(time / interval)).astype(int), 0, n_intervals - 1

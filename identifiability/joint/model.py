@@ -224,6 +224,6 @@ class Model:
         return parts
 
 
-def KBI() -> Model:  # noqa: N802 -- reads as the model's name in KBI() + SeriesTendon()
+def KBI() -> Model:
     """Joint of inertia, damping and stiffness (Eq. 2): ``Z(s) = K + B s + I s²``."""
     return Model()

@@ -298,7 +298,7 @@ def multisine(
 
 
 def prbs(time: np.ndarray, *, amplitude: float, dwell: float, seed: int) -> SampledTorque:
-    """Pseudo-random binary torque: +/- `amplitude` [Nm], redrawn every `dwell` [s], zero-order hold.
+    """Pseudo-random binary torque, +/- `amplitude` [Nm], redrawn every `dwell` [s] and held.
 
     Parameters
     ----------

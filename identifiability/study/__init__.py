@@ -1,1 +1,1 @@
-"""Question 1: can K, B and I fitted to a known joint be believed?"""
+"""Question 1: whether K, B and I fitted to a known joint can be believed."""

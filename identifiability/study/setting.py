@@ -37,7 +37,7 @@ class Setting:
     K_CE: float
     B_CE: float
     K_SE: float
-    I: float = 0.1  # noqa: E741 -- the field's symbol
+    I: float = 0.1
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
