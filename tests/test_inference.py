@@ -12,6 +12,7 @@ import pytest
 import scipy.integrate
 import scipy.linalg
 import scipy.optimize
+import scipy.stats
 from oracles import (
     agree,
     central_difference,
@@ -399,6 +400,11 @@ def test_profile_is_that_of_brute_force(ms, name):
     for path, fell in zip(result.paths[some], result.drops[some], strict=True):
         assert cost(path, ms) - top == pytest.approx(fell, abs=1e-7)
         assert drop(path[index]) == pytest.approx(fell, abs=1e-5 + 1e-4 * fell)
+
+
+def test_drops_are_quantiles_of_chi_squared():
+    half = scipy.stats.chi2.ppf([scipy.stats.chi2.cdf(1, 1), 0.95], 1) / 2
+    np.testing.assert_allclose([DROPS["68"], DROPS["95"]], half, rtol=1e-4)
 
 
 def test_profile_cut_by_a_bound_says_so():
