@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import importlib
 import shlex
 import sys
-from collections.abc import Callable, Mapping
-from concurrent.futures import Executor
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -36,11 +34,6 @@ def add_parser(commands: Any) -> None:
     parser.add_argument(
         "--workers", type=int, metavar="N", help="processes (default: one per processor)"
     )
-    parser.add_argument(
-        "--dask",
-        metavar="ADDRESS",
-        help="run on the Dask cluster whose scheduler is there, such as tcp://127.0.0.1:8786",
-    )
     parser.set_defaults(run=run)
 
 
@@ -59,9 +52,7 @@ def run(options: argparse.Namespace) -> int:
         raise InputError(f"found {options.workers} workers, expected 1 or more")
     plan = read_plan(options.config)
     out = output_folder(options.out)
-    how: dict[str, Any] = {"workers": options.workers}
-    if options.dask is not None:
-        how = _cluster(options.dask, options.workers)
+    how = {"workers": options.workers}
 
     outcomes = run_atlas(plan, out / "atlas.cells", **how)
     data = to_dataset(plan, outcomes)
@@ -136,19 +127,3 @@ def _complain(outcomes: Mapping[str, Any], folder: Path) -> bool:
             file=sys.stderr,
         )
     return bool(failed)
-
-
-def _cluster(address: str, workers: int | None) -> dict[str, Any]:
-    """Executor of a Dask cluster, and how many tasks it takes at once."""
-    try:
-        distributed = importlib.import_module("dask.distributed")
-    except ImportError:
-        raise InputError(
-            "--dask needs Dask, which is not installed; pip install 'dask[distributed]'"
-        ) from None
-    try:
-        client = distributed.Client(address, timeout=10)
-    except (OSError, ValueError) as error:
-        raise InputError(f"no Dask scheduler answers at '{address}' ({error})") from None
-    executor: Callable[[], Executor] = client.get_executor
-    return {"executor": executor, "workers": workers or sum(client.nthreads().values())}
