@@ -186,8 +186,11 @@ def test_progress_is_told_in_lines_where_there_is_no_terminal(capsys, threads):
 
 
 SCRIPT = """
+import signal
 import sys
 from pathlib import Path
+# A run in the background, as that of the tests may be, is started with interrupts ignored.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 sys.path.insert(0, {tests!r})
 from test_sweep import Task, run
 if __name__ == "__main__":
