@@ -22,11 +22,11 @@ from oracles import (
 from identifiability.errors import InputError
 from identifiability.inference.problem import Prior, Problem, observe
 from identifiability.joint.effects.series_tendon import SeriesTendon
+from identifiability.joint.exponentials import matrix_exponential
 from identifiability.joint.model import KBI
 from identifiability.joint.response import (
     drive_arrays,
     exact_response,
-    matrix_exponential,
     simulate,
 )
 from identifiability.measurement.noise import Noise

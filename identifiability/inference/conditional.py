@@ -16,6 +16,7 @@ import numpy as np
 from jax import Array
 
 from identifiability.inference.problem import (
+    QUICK_COMPILATION,
     Data,
     Problem,
     Program,
@@ -23,7 +24,7 @@ from identifiability.inference.problem import (
     whitened,
 )
 
-_ITERATIONS, _MOST_ROUNDS = 5, 12
+_ITERATIONS, _MOST_ROUNDS = 6, 12
 _SIZES = (64, 512)
 _CONVERGED = 1e-7  # predicted decrease of the cost, in units of log likelihood
 
@@ -106,7 +107,7 @@ def conditional_optima(problem: Problem, held: tuple[int, ...], points: np.ndarr
     return found
 
 
-@partial(jax.jit, static_argnums=0)
+@partial(jax.jit, static_argnums=0, compiler_options=QUICK_COMPILATION)
 def _solve(
     program: Program,
     moves: Array,
@@ -144,6 +145,8 @@ def _solve(
         predicted = -descent @ step - 0.5 * step @ (scaled @ step)
         gain = (state.cost - cost) / jnp.maximum(predicted, 1e-300)
         factor = jnp.where(gain > 0.75, 0.2, jnp.where(gain < 0.25, 4.0, 1.0))
+        begun = jnp.isfinite(state.cost)
+        finished = begun & ((-descent @ step < _CONVERGED) | (state.damping > 1e9))
 
         def pick(new: Array, old: Array) -> Array:
             return jnp.where(better, new, old)
@@ -153,13 +156,15 @@ def _solve(
             pick(cost, state.cost),
             pick(trial_gradient, gradient),
             pick(trial_information, information),
-            jnp.clip(state.damping * factor, 1e-12, 1e12),
+            jnp.where(begun, jnp.clip(state.damping * factor, 1e-12, 1e12), state.damping),
             state.iterations + 1,
-            (-descent @ step < _CONVERGED) | (state.damping > 1e9),
+            finished,
         )
 
     def solve(start: Array, damping: Array) -> tuple[tuple[Array, ...], Array, Array]:
-        state = _State(start, *linearise(start), damping, jnp.asarray(0), jnp.asarray(False))
+        # The first iteration only evaluates the start: the response is compiled once, not twice.
+        unknown = (jnp.asarray(jnp.inf), jnp.zeros(start.size), jnp.eye(start.size))
+        state = _State(start, *unknown, damping, jnp.asarray(0), jnp.asarray(False))
         state = jax.lax.while_loop(lambda s: ~s.done & (s.iterations < _ITERATIONS), iterate, state)
         found = (state.x, -state.cost, state.gradient, state.information)
         return found, state.damping, state.done

@@ -26,6 +26,9 @@ from identifiability.measurement.perturbations import Drive
 
 # Batches are padded to one of a few sizes, so that a few compilations serve any number of points.
 # A batch of long records is kept small: what does not fit the processor's cache is slower.
+# Costly passes of the compiler save next to nothing here, and take a third of its time.
+QUICK_COMPILATION = {"xla_llvm_disable_expensive_passes": True}
+
 _SMALL_BATCH, _BATCHES = 64, (512, 4096)
 _MOST_ELEMENTS = 2**21
 
@@ -55,6 +58,8 @@ class Observation:
         Number of segments with an offset to be profiled out.
     n_compared : int
         Number of compared samples.
+    continues : bool
+        Whether its segments are those of the observation before: pieces of one long record.
     """
 
     drive: Drive
@@ -66,6 +71,7 @@ class Observation:
     segment: np.ndarray
     n_offsets: int
     n_compared: int
+    continues: bool = False
 
 
 def observe(
@@ -156,24 +162,30 @@ class Data(NamedTuple):
     offsets: Array
 
 
-def _stack(observations: Sequence[Observation], substeps: int | None) -> Data:
+def _stack(
+    observations: Sequence[Observation], substeps: int | None, room: tuple[int, int]
+) -> Data:
     drives = [o.drive for o in observations]
-    longest = max(len(d.states) for d in drives)
+    rows = max(len(drives), room[0])
+    longest = max(room[1], *(len(d.states) for d in drives))
 
     def padded(arrays: Sequence[np.ndarray]) -> np.ndarray:
-        stacked = np.zeros((len(arrays), longest, *arrays[0].shape[1:]), arrays[0].dtype)
-        for row, array in zip(stacked, arrays, strict=True):
+        stacked = np.zeros((rows, longest, *arrays[0].shape[1:]), arrays[0].dtype)
+        for row, array in zip(stacked, arrays, strict=False):
             row[: len(array)] = array
         return stacked
 
     # Offsets are numbered through all trials; their number is padded too, to compile less often.
-    firsts = np.cumsum([0, *(o.n_offsets for o in observations)])
-    n_offsets = 0 if firsts[-1] == 0 else 1 << int(firsts[-1] - 1).bit_length()
-    fine = np.zeros((len(drives), 0))
+    firsts, used = [], 0
+    for o in observations:
+        firsts.append(firsts[-1] if o.continues else used)
+        used = max(used, firsts[-1] + o.n_offsets)
+    n_offsets = 0 if used == 0 else 1 << (used - 1).bit_length()
+    fine = np.zeros((rows, 0))
     if substeps is not None:
         fine = padded([d.refined(substeps) for d in drives])[:, : longest - 1]
     arrays = (
-        np.array([d.interval for d in drives]),
+        np.resize([d.interval for d in drives], rows),
         drives[0].generator,
         drives[0].readout,
         padded([d.states for d in drives]),
@@ -184,7 +196,7 @@ def _stack(observations: Sequence[Observation], substeps: int | None) -> Data:
         padded([o.carry for o in observations]),
         padded([o.previous for o in observations]),
         padded([o.constant for o in observations]),
-        padded([o.segment + first for o, first in zip(observations, firsts[:-1], strict=True)]),
+        padded([o.segment + first for o, first in zip(observations, firsts, strict=True)]),
         np.zeros(n_offsets),
     )
     return Data(*(jnp.asarray(array) for array in arrays))
@@ -234,6 +246,7 @@ class Program(NamedTuple):
     model: Model
     free: tuple[int, ...]
     substeps: int | None
+    order: int = 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -249,7 +262,12 @@ class Problem:
     fixed : mapping of str to float
         Parameters that are known.
     substeps : int, optional
-        Runge-Kutta steps per sample, for models without exact response.
+        Integration steps per sample, for models without exact response.
+    order : {4, 2}
+        Of the integration scheme.
+    room : tuple of int
+        Least number of observations and of samples that the data are padded to: problems of one
+        shape share their compiled programs.
     """
 
     model: Model
@@ -257,6 +275,8 @@ class Problem:
     prior: Prior
     fixed: Mapping[str, float] = field(default_factory=dict)
     substeps: int | None = None
+    order: int = 4
+    room: tuple[int, int] = (0, 0)
     _last: tuple[np.ndarray, np.ndarray, np.ndarray] | None = field(
         default=None, init=False, repr=False
     )
@@ -314,12 +334,12 @@ class Problem:
     @cached_property
     def program(self) -> Program:
         """What compiled functions are specialised to."""
-        return Program(self.model, self.free, self.substeps)
+        return Program(self.model, self.free, self.substeps, self.order)
 
     @cached_property
     def data(self) -> Data:
         """The observations, as compiled functions take them."""
-        return _stack(self.observations, self.substeps)
+        return _stack(self.observations, self.substeps, self.room)
 
     def with_prior(self, prior: Prior) -> Problem:
         """Return the same problem with another prior."""
@@ -335,7 +355,7 @@ class Problem:
     def responses(self, x: np.ndarray) -> list[np.ndarray]:
         """Model response of each observation, at all its samples."""
         stacked = np.asarray(_responses(self.program, x, self.template, self.data))
-        return [y[: o.measured.size] for y, o in zip(stacked, self.observations, strict=True)]
+        return [y[: o.measured.size] for y, o in zip(stacked, self.observations, strict=False)]
 
     def residuals(self, x: np.ndarray) -> np.ndarray:
         """Whitened residuals, model minus measurement; 0 at samples that are not compared."""
@@ -400,7 +420,7 @@ def _stacked_responses(program: Program, x: ArrayLike, template: ArrayLike, data
         arrays = (interval, data.generator, data.readout, states, impulses)
         if program.substeps is None:
             return exact_response(program.model, theta, arrays)
-        return integrate(program.model, theta, arrays, fine, program.substeps)
+        return integrate(program.model, theta, arrays, fine, program.substeps, program.order)
 
     return jax.vmap(respond)(data.interval, data.states, data.impulses, data.fine)
 
@@ -421,10 +441,12 @@ def _negative_log_likelihood(program: Program, x: Array, template: Array, data: 
     return 0.5 * white @ white
 
 
-_responses = jax.jit(_stacked_responses, static_argnums=0)
+_responses = jax.jit(
+    _stacked_responses, static_argnums=0, compiler_options=QUICK_COMPILATION
+)
 
 
-@partial(jax.jit, static_argnums=0)
+@partial(jax.jit, static_argnums=0, compiler_options=QUICK_COMPILATION)
 def _linearised(program: Program, x: Array, template: Array, data: Data) -> tuple[Array, Array]:
     def twice(point: Array) -> tuple[Array, Array]:
         white = whitened(program, point, template, data)
@@ -439,7 +461,7 @@ _hessian = jax.jit(
 )
 
 
-@partial(jax.jit, static_argnums=0)
+@partial(jax.jit, static_argnums=0, compiler_options=QUICK_COMPILATION)
 def _log_likelihoods(program: Program, points: Array, template: Array, data: Data) -> Array:
     values = jax.vmap(lambda x: -_negative_log_likelihood(program, x, template, data))(points)
     return jnp.where(jnp.isnan(values), -jnp.inf, values)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import Array
@@ -126,7 +127,7 @@ class Model:
 
     @property
     def linear(self) -> bool:
-        """Whether the whole model is linear and without delay, so that it has exact responses."""
+        """Whether the joint is linear without delayed feedback: it then has exact responses."""
         nominal = jnp.asarray(self.nominal)
         return all(
             effect.linear and effect.delay(p) is None
@@ -192,15 +193,13 @@ class Model:
         rates: list[Array] = []
         contractile = motion
         if self._has_tendon:
+            # The element moves such that it carries the tendon's torque.
             angle = internal[0]
             tension = torque_of("series", Motion(motion.angle - angle, 0.0))
-            # The element moves such that it carries the tendon's torque. Its torque is affine in
-            # its velocity; without damping it would be a static balance, hence the tiny floor.
-            at_rest = muscle(Motion(angle, 0.0))
-            slope = muscle(Motion(angle, 1.0)) - at_rest
-            slope = jnp.where(jnp.abs(slope) < 1e-9, 1e-9, slope)
-            contractile = Motion(angle, (tension - at_rest) / slope)
-            rates.append(jnp.reshape(contractile.velocity, (1,)))
+            affine = all(e.affine_in_velocity for e in self.effects if e.place == "muscle")
+            velocity = _balance(lambda v: muscle(Motion(angle, v)) - tension, affine)
+            contractile = Motion(angle, velocity)
+            rates.append(jnp.reshape(velocity, (1,)))
             torque = tension
         else:
             torque = muscle(motion)
@@ -210,6 +209,26 @@ class Model:
                 seen = contractile if effect.place == "muscle" else motion
                 rates.append(jnp.asarray(effect.rates(p, seen, own, past)))
         return Reaction(jnp.asarray(torque), jnp.concatenate([*rates, jnp.zeros(0)]))
+
+    def record(self, theta: ArrayLike, response: Array, interval: ArrayLike) -> Array:
+        """What the instruments make of the true response of the joint.
+
+        Parameters
+        ----------
+        theta : array, shape (n_parameters,)
+        response : array, shape (n,)
+            Angle [rad] to an imposed torque, torque [Nm] to an imposed angle.
+        interval : float
+            Sampling interval [s].
+
+        Returns
+        -------
+        array, shape (n,)
+        """
+        per_effect = self._effect_parameters(jnp.asarray(theta))
+        for effect, p in zip(self.effects, per_effect, strict=True):
+            response = effect.record(p, response, interval)
+        return response
 
     @property
     def _has_tendon(self) -> bool:
@@ -222,6 +241,22 @@ class Model:
             parts.append([theta[first + i] for i in range(len(effect.parameters))])
             first += len(effect.parameters)
         return parts
+
+
+def _balance(excess: Callable[[Array], Array], affine: bool) -> Array:
+    """Velocity at which an increasing function of it is zero.
+
+    Newton steps from rest, which approach the root of a saturating damping from one side. The last
+    two are differentiated, so that first and second derivatives are those of the root.
+    """
+    velocity = jnp.zeros(())
+    for step in range(1 if affine else 8):
+        if step == 6:
+            velocity = jax.lax.stop_gradient(velocity)
+        value, slope = jax.jvp(excess, (velocity,), (jnp.ones(()),))
+        # Without damping the balance would be static: hence the tiny floor.
+        velocity = velocity - value / jnp.where(jnp.abs(slope) < 1e-9, 1e-9, slope)
+    return velocity
 
 
 def KBI() -> Model:

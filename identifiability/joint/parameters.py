@@ -24,7 +24,11 @@ class Parameter:
     description : str
         What it is, in words.
     null : float or None
-        Value at which the effect vanishes; ``None`` for the parameters of KBI itself.
+        Value at which the effect vanishes, together with its other parameters that have one;
+        ``None`` where the value alone does not make it vanish.
+    plain : float or None
+        Value that gives the effect its plain form, for a parameter that only refines it; ``None``
+        for a parameter that the effect cannot do without.
     """
 
     name: str
@@ -35,6 +39,7 @@ class Parameter:
     upper: float
     description: str
     null: float | None = None
+    plain: float | None = None
 
     def __post_init__(self) -> None:
         if not self.lower < self.upper:

@@ -16,6 +16,7 @@ from jax.typing import ArrayLike
 
 from identifiability.errors import InputError
 from identifiability.joint.effects.base import Motion
+from identifiability.joint.exponentials import matrix_exponential
 from identifiability.joint.integrator import integrate
 from identifiability.joint.model import Model
 from identifiability.measurement.perturbations import Drive
@@ -41,7 +42,7 @@ def simulate(
     drive : Drive
         Made by ``Perturbation.drive(time)`` or ``imposed_motion(time, angle)``.
     substeps : int, optional
-        Runge-Kutta steps per sample. Without it linear models are solved exactly.
+        Integration steps per sample. Without it linear models are solved exactly.
 
     Returns
     -------
@@ -88,6 +89,10 @@ def exact_response(model: Model, theta: ArrayLike, arrays: DriveArrays) -> Array
     array, shape (n,)
         As for `simulate`.
     """
+    return model.record(theta, _true_response(model, theta, arrays), jnp.asarray(arrays[0]))
+
+
+def _true_response(model: Model, theta: ArrayLike, arrays: DriveArrays) -> Array:
     interval, generator, readout, states, impulses = (jnp.asarray(a) for a in arrays)
     if readout.shape[0] == 1:
         system, feed = _torque_driven_system(model, theta)
@@ -114,31 +119,6 @@ def exact_response(model: Model, theta: ArrayLike, arrays: DriveArrays) -> Array
 
     start = -jnp.linalg.solve(system, feed[:, 0] * signals[0, 0])
     return torque + jax.lax.scan(follow, start, states)[1]
-
-
-def matrix_exponential(matrix: Array) -> Array:
-    """Exponential of a small matrix by scaling and squaring of its Taylor series.
-
-    The series has 14 terms after scaling to a 1-norm of at most 1/2, hence a relative truncation
-    error below 1e-16. Unlike an eigendecomposition it needs no distinct eigenvalues, so critical
-    damping is no special case, for derivatives neither.
-    """
-    norm = jnp.max(jnp.sum(jnp.abs(matrix), axis=0))
-    squarings = jnp.ceil(jnp.log2(jnp.clip(jax.lax.stop_gradient(norm), 1e-300, 1e300) / 0.5))
-    squarings = jnp.clip(squarings, 0, 60)
-    scaled = matrix * 2.0**-squarings
-    identity = jnp.eye(matrix.shape[0])
-    # As a loop, not unrolled: derivatives of derivatives of it compile in a third of the time.
-    series = jax.lax.fori_loop(0, 14, lambda k, s: identity + scaled @ s / (14 - k), identity)
-
-    def square(carry: tuple[Array, Array]) -> tuple[Array, Array]:
-        done, power = carry
-        return done + 1, jnp.where(done < squarings, power @ power, power)
-
-    # Under vmap the loop runs until the last member is done; `where` keeps the others as they are.
-    return jax.lax.while_loop(lambda carry: carry[0] < squarings, square, (jnp.zeros(()), series))[
-        1
-    ]
 
 
 def _discretise(

@@ -1,8 +1,60 @@
 """The registry: every effect the package knows, by key."""
 
+from identifiability.joint.effects.activation_lag import ActivationLag
 from identifiability.joint.effects.base import Effect, Motion
+from identifiability.joint.effects.coulomb_friction import CoulombFriction
+from identifiability.joint.effects.cubic_stiffness import CubicStiffness
+from identifiability.joint.effects.gravity import Gravity
+from identifiability.joint.effects.hill_force_velocity import HillForceVelocity
+from identifiability.joint.effects.maxwell_branch import MaxwellBranch
+from identifiability.joint.effects.nonlinear_tendon import NonlinearTendon
+from identifiability.joint.effects.quadratic_stiffness import QuadraticStiffness
+from identifiability.joint.effects.second_mass import SecondMass
+from identifiability.joint.effects.sensor_delay import SensorDelay
+from identifiability.joint.effects.sensor_drift import SensorDrift
+from identifiability.joint.effects.sensor_lowpass import SensorLowpass
 from identifiability.joint.effects.series_tendon import SeriesTendon
+from identifiability.joint.effects.short_range_stiffness import ShortRangeStiffness
+from identifiability.joint.effects.stretch_reflex import StretchReflex
 
-EFFECTS: dict[str, type[Effect]] = {effect.key: effect for effect in (SeriesTendon,)}
+EFFECTS: dict[str, type[Effect]] = {
+    effect.key: effect
+    for effect in (
+        SeriesTendon,
+        NonlinearTendon,
+        MaxwellBranch,
+        ActivationLag,
+        StretchReflex,
+        HillForceVelocity,
+        ShortRangeStiffness,
+        QuadraticStiffness,
+        CubicStiffness,
+        CoulombFriction,
+        Gravity,
+        SecondMass,
+        SensorDelay,
+        SensorLowpass,
+        SensorDrift,
+    )
+}
 
-__all__ = ["EFFECTS", "Effect", "Motion", "SeriesTendon"]
+__all__ = [
+    "EFFECTS",
+    "ActivationLag",
+    "CoulombFriction",
+    "CubicStiffness",
+    "Effect",
+    "Gravity",
+    "HillForceVelocity",
+    "MaxwellBranch",
+    "Motion",
+    "NonlinearTendon",
+    "QuadraticStiffness",
+    "SecondMass",
+    "SensorDelay",
+    "SensorDrift",
+    "SensorLowpass",
+    "SeriesTendon",
+    "ShortRangeStiffness",
+    "StretchReflex",
+]

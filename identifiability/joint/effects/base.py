@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import ABC
 from collections.abc import Sequence
 from typing import ClassVar, Literal, NamedTuple
 
@@ -32,26 +32,33 @@ class Effect(ABC):
         it sees the motion of the contractile element;
     ``"series"``
         an elastic element between the muscle and the joint; ``torque`` is its torque at a stretch
-        (in rad) and has no states of its own.
+        (in rad) and has no states of its own;
+    ``"sensor"``
+        nothing in the joint: ``record`` says what the instruments make of the true response.
 
     Class attributes
     ----------------
     key : stable name used in reports and parameter names
+    title : the effect's name in a sentence
     parameters : the effect's parameters
     place : see above
     linear : whether torque and rates are linear in motion and states
+    affine_in_velocity : whether the torque is affine in the velocity (muscle effects)
     n_states : number of the effect's own states
+    confused_with : keys of effects that look alike in short records
     references : where the equations come from
     """
 
     key: ClassVar[str]
+    title: ClassVar[str] = ""
     parameters: ClassVar[tuple[Parameter, ...]]
-    place: ClassVar[Literal["joint", "muscle", "series"]]
+    place: ClassVar[Literal["joint", "muscle", "series", "sensor"]]
     linear: ClassVar[bool]
+    affine_in_velocity: ClassVar[bool] = True
     n_states: ClassVar[int] = 0
+    confused_with: ClassVar[tuple[str, ...]] = ()
     references: ClassVar[tuple[str, ...]] = ()
 
-    @abstractmethod
     def torque(
         self, p: Sequence[Array], motion: Motion, states: Array, delayed: Motion
     ) -> ArrayLike:
@@ -73,6 +80,7 @@ class Effect(ABC):
         scalar
             Torque [Nm], positive where it opposes a positive angle.
         """
+        return 0.0
 
     def rates(self, p: Sequence[Array], motion: Motion, states: Array, delayed: Motion) -> Array:
         """Time derivatives of the effect's states, shape (n_states,); arguments as in `torque`."""
@@ -81,6 +89,28 @@ class Effect(ABC):
     def delay(self, p: Sequence[Array]) -> ArrayLike | None:
         """Delay [s] of the motion passed as ``delayed``; ``None`` for an effect without delay."""
         return None
+
+    def record(self, p: Sequence[Array], response: Array, interval: ArrayLike) -> Array:
+        """What is recorded of a response: for effects of the sensor.
+
+        Parameters
+        ----------
+        p : sequence of scalars
+        response : array, shape (n,)
+            True response: angle [rad] to an imposed torque, torque [Nm] to an imposed angle.
+        interval : float
+            Sampling interval [s].
+
+        Returns
+        -------
+        array, shape (n,)
+        """
+        return response
+
+    @property
+    def kind(self) -> Literal["physics", "measurement"]:
+        """Whether the effect is in the joint or in the instruments."""
+        return "measurement" if self.place == "sensor" else "physics"
 
     def __eq__(self, other: object) -> bool:
         return type(self) is type(other)

@@ -23,8 +23,10 @@ class SeriesTendon(Effect):
     """
 
     key = "series_tendon"
+    title = "a tendon in series with the muscle"
     place = "series"
     linear = True
+    confused_with = ("maxwell_branch", "nonlinear_tendon", "sensor_lowpass")
     parameters = (
         Parameter(
             "stiffness",

@@ -1,0 +1,1 @@
+"""From measurement to missing effect: compare, locate, attribute, add, verify."""

@@ -1,0 +1,239 @@
+"""Fits of candidate models to the same evidence, from starts that do not get stuck."""
+
+from __future__ import annotations
+
+import itertools
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from identifiability.errors import InputError
+from identifiability.inference.fitting import at_bounds, explore
+from identifiability.inference.problem import Observation, Prior, Problem
+from identifiability.inference.recordings import integrated_autocorrelation
+from identifiability.investigation.evidence import Evidence, Ready
+from identifiability.joint.model import Model
+
+_FACTORS = (0.4, 1.0, 2.5)
+_MOST_STARTS = 6
+
+
+@dataclass(frozen=True, eq=False)
+class Residual:
+    """What a model leaves of one part of the evidence.
+
+    Attributes
+    ----------
+    by_trial : tuple of array
+        Measured minus predicted response at the compared samples, freed of an unknown offset.
+    errors : array, shape (n_trials,)
+        E (Eq. 3) of each trial.
+    weighted : float
+        Sum of the squared residuals, each in units of its trial's weight.
+    """
+
+    by_trial: tuple[np.ndarray, ...]
+    errors: np.ndarray
+    weighted: float
+
+    @property
+    def error(self) -> float:
+        """E pooled over trials: the mean, so that each weighs by its own energy."""
+        return float(np.mean(self.errors))
+
+    @property
+    def n_samples(self) -> int:
+        """Number of compared samples."""
+        return sum(r.size for r in self.by_trial)
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """A model fitted to the evidence.
+
+    Attributes
+    ----------
+    model : Model
+    values : mapping of str to float
+        Parameters.
+    free : tuple of str
+        Those that were fitted; the others refine an effect and keep their plain value.
+    fitted, held_out : Residual
+    at_bound : tuple of str
+    n_agreeing, n_starts : int
+        Number of starts that reached the best cost, and of all.
+    seconds : float
+    failure : str
+        Why there is no fit; then the residuals are empty and the errors infinite.
+    """
+
+    model: Model
+    values: Mapping[str, float]
+    free: tuple[str, ...]
+    fitted: Residual
+    held_out: Residual
+    at_bound: tuple[str, ...] = ()
+    n_agreeing: int = 0
+    n_starts: int = 0
+    seconds: float = 0.0
+    failure: str = ""
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """Keys of the model's effects."""
+        return self.model.effect_keys
+
+
+NOTHING = Residual((), np.array([np.inf]), float("inf"))
+
+
+@dataclass(frozen=True, eq=False)
+class Workbench:
+    """Fits models to one body of evidence, all with the same samples, weights and programs.
+
+    Attributes
+    ----------
+    evidence : Evidence
+    bounds : mapping of str to (float, float)
+        Other bounds than the physical ones, by parameter name.
+    """
+
+    evidence: Evidence
+    bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    _observations: dict[int, list[Observation]] = field(default_factory=dict, repr=False)
+
+    def problem(self, model: Model, part: Sequence[Ready], *, refined: bool = False) -> Problem:
+        """Problem of fitting a model to a part of the evidence.
+
+        Parameters
+        ----------
+        model : Model
+        part : sequence of Ready
+        refined : bool
+            Whether the parameters that refine an effect are free too.
+        """
+        if id(part) not in self._observations:
+            self._observations[id(part)] = self.evidence.observations(part)
+        names = model.parameter_names
+        plain = {name: p.plain for name, p in model.parameters.items() if p.plain is not None}
+        prior = Prior.physical(model, **{n: b for n, b in self.bounds.items() if n in names})
+        return Problem(
+            model,
+            self._observations[id(part)],
+            prior,
+            fixed={} if refined else plain,
+            substeps=None if model.linear else 1,
+            order=2,
+            room=self.evidence.room,
+        )
+
+    def residual(
+        self, model: Model, values: Mapping[str, float], part: Sequence[Ready], refined: bool
+    ) -> Residual:
+        """What a model with given values leaves of a part of the evidence."""
+        problem = self.problem(model, part, refined=refined)
+        theta = model.vector(values)[list(problem.free)]
+        white = problem.residuals(theta).reshape(self.evidence.room)
+        by_trial, errors, weighted, row = [], [], 0.0, 0
+        sds = self.evidence.weights_sd(part)
+        for ready, sd in zip(part, sds, strict=True):
+            pieces, collected = 0, []
+            while sum(c.size for c in collected) < ready.last - ready.first:
+                observation = problem.observations[row + pieces]
+                compared = observation.scale > 0
+                collected.append(white[row + pieces, : compared.size][compared])
+                pieces += 1
+            row += pieces
+            left = -sd * np.concatenate(collected)
+            by_trial.append(left)
+            errors.append(float(np.sum(left**2)) / ready.energy)
+            weighted += float(np.sum(left**2)) / sd**2
+        return Residual(tuple(by_trial), np.array(errors), weighted)
+
+    def fit(
+        self,
+        model: Model,
+        starts: Sequence[Mapping[str, float]],
+        *,
+        refined: bool = False,
+    ) -> Candidate:
+        """Fit a model; a failure is recorded in the result, not raised."""
+        began = time.perf_counter()
+        try:
+            problem = self.problem(model, self.evidence.fitted, refined=refined)
+            points = np.array([model.vector(s)[list(problem.free)] for s in starts])
+            best = explore(problem, points)
+            values = dict(
+                zip(model.parameter_names, map(float, problem.complete(best.values)), strict=True)
+            )
+            fitted = self.residual(model, values, self.evidence.fitted, refined)
+            held_out = NOTHING
+            if self.evidence.held_out:
+                held_out = self.residual(model, values, self.evidence.held_out, refined)
+            if not np.isfinite(fitted.weighted):
+                raise InputError("the best response found is not finite")
+        except (InputError, ValueError, FloatingPointError, np.linalg.LinAlgError) as error:
+            return Candidate(model, {}, (), NOTHING, NOTHING, failure=str(error))
+        return Candidate(
+            model,
+            values,
+            problem.names,
+            fitted,
+            held_out,
+            at_bounds(problem, best.values),
+            best.n_agreeing,
+            len(points),
+            time.perf_counter() - began,
+        )
+
+
+def starting_values(
+    model: Model, known: Mapping[str, float], *, most: int = _MOST_STARTS
+) -> list[dict[str, float]]:
+    """Starts for a model some of whose parameters are known from a smaller one.
+
+    A new effect starts near its null, where the best size is found at once, at several values of
+    its shape parameters; an effect that vanishes with infinite stiffness starts at several
+    stiffnesses, with K and B raised to make up for it.
+
+    Parameters
+    ----------
+    model : Model
+    known : mapping of str to float
+        K, B, I and the parameters of the effects that were there before.
+    most : int
+        Number of starts.
+    """
+    grids: list[list[float]] = []
+    names = model.parameter_names
+    for name, p in model.parameters.items():
+        if name in known:
+            grids.append([known[name]])
+        elif p.plain is not None:
+            grids.append([p.plain])
+        elif p.null is not None and np.isfinite(p.null):
+            grids.append([p.null + 0.01 * (p.nominal - p.null)])
+        elif p.null is not None:
+            grids.append([3 * known["K"] + 1.0, 10 * known["K"] + 1.0])
+        elif p.lower > 0 and p.upper / p.lower > 10:
+            grids.append([float(np.clip(f * p.nominal, p.lower, p.upper)) for f in _FACTORS])
+        else:
+            grids.append([p.lower + s * (p.upper - p.lower) for s in (0.5, 0.25, 0.75)])
+    every = list(itertools.product(*grids))
+    # Spread over the grid; the middle one, of nominal shape, comes first.
+    chosen = np.unique(np.linspace(0, len(every) - 1, most).astype(int))
+    starts = [dict(zip(names, every[i], strict=True)) for i in chosen]
+    for start in starts:
+        for name, p in model.parameters.items():
+            if name not in known and p.null is not None and not np.isfinite(p.null):
+                softened = 1 + start["K"] / start[name]
+                start["K"] *= softened
+                start["B"] *= softened**2
+    return starts
+
+
+def effective_samples(residual: Residual) -> float:
+    """Number of samples that count as independent, from the residual's own correlation."""
+    return float(sum(r.size / integrated_autocorrelation(r) for r in residual.by_trial))

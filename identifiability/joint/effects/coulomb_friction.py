@@ -1,0 +1,69 @@
+"""Dry friction."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import jax.numpy as jnp
+from jax import Array
+from jax.typing import ArrayLike
+
+from identifiability.joint.effects.base import Effect, Motion
+from identifiability.joint.parameters import Parameter
+
+_STRIBECK_VELOCITY = 0.1  # [rad/s]
+
+
+class CoulombFriction(Effect):
+    r"""Dry friction: constant torque against the velocity, more where it breaks away (Stribeck).
+
+    .. math:: T = F \tanh(\dot\theta/v_0)\,(1 + s\,e^{-(\dot\theta/0.1)^2})
+
+    v_0 smooths the jump at rest; s = 0 in the plain form. It vanishes with F = 0.
+    """
+
+    key = "coulomb_friction"
+    title = "dry (Coulomb) friction"
+    place = "joint"
+    linear = False
+    confused_with = ("short_range_stiffness", "hill_force_velocity")
+    parameters = (
+        Parameter(
+            "torque",
+            "F",
+            "Nm",
+            nominal=0.2,
+            lower=0.0,
+            upper=100.0,
+            null=0.0,
+            description="friction torque while sliding",
+        ),
+        Parameter(
+            "velocity",
+            "v_0",
+            "rad/s",
+            nominal=0.03,
+            lower=0.002,
+            upper=0.3,
+            description="velocity over which friction reverses",
+        ),
+        Parameter(
+            "breakaway",
+            "s",
+            "1",
+            nominal=0.0,
+            lower=0.0,
+            upper=2.0,
+            plain=0.0,
+            description="friction at breaking away over that while sliding, minus 1",
+        ),
+    )
+    references = ("Armstrong-Hélouvry, Dupont & Canudas de Wit 1994, Automatica 30: 1083-1138",)
+
+    def torque(
+        self, p: Sequence[Array], motion: Motion, states: Array, delayed: Motion
+    ) -> ArrayLike:
+        """Torque [Nm] against the velocity."""
+        force, smooth, breakaway = p
+        stribeck = jnp.exp(-((jnp.asarray(motion.velocity) / _STRIBECK_VELOCITY) ** 2))
+        return force * jnp.tanh(motion.velocity / smooth) * (1 + breakaway * stribeck)

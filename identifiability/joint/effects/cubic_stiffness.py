@@ -1,0 +1,43 @@
+"""Stiffness that changes with angle, alike on both sides."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import jax.numpy as jnp
+from jax import Array
+from jax.typing import ArrayLike
+
+from identifiability.joint.effects.base import Effect, Motion
+from identifiability.joint.parameters import Parameter
+
+
+class CubicStiffness(Effect):
+    r"""Stiffness that grows to both sides: T = K_3 theta^3; vanishes with K_3 = 0."""
+
+    key = "cubic_stiffness"
+    title = "a stiffness that grows with the angle (cubic)"
+    place = "joint"
+    linear = False
+    confused_with = ("short_range_stiffness", "gravity")
+    parameters = (
+        Parameter(
+            "coefficient",
+            "K_3",
+            "Nm/rad³",
+            nominal=50.0,
+            lower=-20000.0,
+            upper=200000.0,
+            null=0.0,
+            description="torque per cubed angle",
+        ),
+    )
+    references = (
+        "Kovacic & Brennan 2011, The Duffing Equation: Nonlinear Oscillators and their Behaviour",
+    )
+
+    def torque(
+        self, p: Sequence[Array], motion: Motion, states: Array, delayed: Motion
+    ) -> ArrayLike:
+        """Torque [Nm] beyond that of a linear spring."""
+        return p[0] * jnp.asarray(motion.angle) ** 3

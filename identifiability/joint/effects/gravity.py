@@ -1,0 +1,55 @@
+"""Gravity on the moving segment."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import jax.numpy as jnp
+from jax import Array
+from jax.typing import ArrayLike
+
+from identifiability.joint.effects.base import Effect, Motion
+from identifiability.joint.parameters import Parameter
+
+
+class Gravity(Effect):
+    r"""Gravity, as deviation from its torque at the operating point.
+
+    .. math:: T = m g l\,[\sin(\theta_0 + \theta) - \sin\theta_0]
+
+    theta_0 is the operating point, 0 where the segment hangs. It vanishes with m g l = 0.
+    """
+
+    key = "gravity"
+    title = "gravity on the segment"
+    place = "joint"
+    linear = False
+    confused_with = ("quadratic_stiffness", "cubic_stiffness")
+    parameters = (
+        Parameter(
+            "moment",
+            "mgl",
+            "Nm",
+            nominal=3.0,
+            lower=0.0,
+            upper=500.0,
+            null=0.0,
+            description="weight of the segment times the distance of its centre from the joint",
+        ),
+        Parameter(
+            "posture",
+            r"\theta_0",
+            "rad",
+            nominal=0.5,
+            lower=-3.2,
+            upper=3.2,
+            description="angle of the operating point from hanging down",
+        ),
+    )
+    references = ("Winter 2009, Biomechanics and Motor Control of Human Movement, ch. 5",)
+
+    def torque(
+        self, p: Sequence[Array], motion: Motion, states: Array, delayed: Motion
+    ) -> ArrayLike:
+        """Torque [Nm] beyond that at the operating point."""
+        return p[0] * (jnp.sin(p[1] + motion.angle) - jnp.sin(p[1]))

@@ -1,0 +1,73 @@
+"""A tendon that stiffens under stretch, in series with the muscle."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import jax.numpy as jnp
+from jax import Array
+from jax.typing import ArrayLike
+
+from identifiability.joint.effects.base import Effect, Motion
+from identifiability.joint.parameters import Parameter
+
+
+class NonlinearTendon(Effect):
+    r"""Tendons of an antagonist pair, each exponential in its stretch, seen as one at the joint.
+
+    .. math:: T(x) = K_{SE}\left[\frac{\sinh h x}{h} + a\,\frac{\cosh h x - 1}{h}\right]
+
+    with the stretch x = theta - theta_CE. The asymmetry a is 1 or -1 for a single muscle and 0 for
+    a balanced pair; with h = 0 it is the linear tendon. It vanishes with infinite stiffness.
+    """
+
+    key = "nonlinear_tendon"
+    title = "a tendon that stiffens with stretch"
+    place = "series"
+    linear = False
+    confused_with = ("series_tendon", "hill_force_velocity", "maxwell_branch")
+    parameters = (
+        Parameter(
+            "stiffness",
+            r"K_\mathrm{SE}",
+            "Nm/rad",
+            nominal=200.0,
+            lower=1.0,
+            upper=20000.0,
+            null=float("inf"),
+            description="stiffness of the tendon at the operating point",
+        ),
+        Parameter(
+            "hardening",
+            "h",
+            "1/rad",
+            nominal=10.0,
+            lower=0.0,
+            upper=200.0,
+            description="relative growth of tension with stretch",
+        ),
+        Parameter(
+            "asymmetry",
+            "a",
+            "1",
+            nominal=0.0,
+            lower=-1.0,
+            upper=1.0,
+            description="difference between the two muscles' tendons",
+        ),
+    )
+    references = (
+        "Zajac 1989, Crit Rev Biomed Eng 17: 359-411 (exponential toe of the tendon)",
+        "Millard, Uchida, Seth & Delp 2013, J Biomech Eng 135: 021005",
+    )
+
+    def torque(
+        self, p: Sequence[Array], motion: Motion, states: Array, delayed: Motion
+    ) -> ArrayLike:
+        """Torque [Nm] of the tendons at a stretch of ``motion.angle`` rad."""
+        stiffness, hardening, asymmetry = p
+        # Powers of e beyond 30 are no tendon, but an optimiser may ask for them.
+        hardening = jnp.maximum(hardening, 1e-6)
+        exponent = jnp.clip(hardening * motion.angle, -30.0, 30.0)
+        odd, even = jnp.sinh(exponent), 2 * jnp.sinh(0.5 * exponent) ** 2
+        return stiffness * (odd + asymmetry * even) / hardening

@@ -1,0 +1,76 @@
+"""Short-range stiffness: cross-bridges that stretch, then slip."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import jax.numpy as jnp
+from jax import Array
+from jax.typing import ArrayLike
+
+from identifiability.joint.effects.base import Effect, Motion
+from identifiability.joint.parameters import Parameter
+
+
+class ShortRangeStiffness(Effect):
+    r"""Elastic-plastic stiffness: elastic for small motion, yielding beyond it.
+
+    .. math:: T = K_s z, \qquad \dot z = \dot\theta - |\dot\theta|\, z / z_c - z/\tau_s
+
+    z is the stretch of the attached cross-bridges; it cannot pass z_c, and 1/tau_s is the rate at
+    which they renew at rest (0 in the plain form). It vanishes with K_s = 0.
+    """
+
+    key = "short_range_stiffness"
+    title = "short-range stiffness"
+    place = "muscle"
+    linear = False
+    n_states = 1
+    confused_with = ("coulomb_friction", "cubic_stiffness", "maxwell_branch")
+    parameters = (
+        Parameter(
+            "stiffness",
+            r"K_\mathrm{s}",
+            "Nm/rad",
+            nominal=20.0,
+            lower=0.0,
+            upper=5000.0,
+            null=0.0,
+            description="stiffness for small motion",
+        ),
+        Parameter(
+            "range",
+            r"z_\mathrm{c}",
+            "rad",
+            nominal=0.03,
+            lower=0.005,
+            upper=0.5,
+            description="stretch at which it yields",
+        ),
+        Parameter(
+            "renewal",
+            r"r_\mathrm{s}",
+            "1/s",
+            nominal=0.0,
+            lower=0.0,
+            upper=200.0,
+            plain=0.0,
+            description="rate at which the stretch is forgotten at rest",
+        ),
+    )
+    references = (
+        "Rack & Westbury 1974, J Physiol 240: 331-350",
+        "De Groote, Allen & Ting 2017, J Biomech 55: 71-77",
+        "Dahl 1968, A Solid Friction Model, Aerospace Corp. TOR-0158 (the elastic-plastic form)",
+    )
+
+    def torque(
+        self, p: Sequence[Array], motion: Motion, states: Array, delayed: Motion
+    ) -> ArrayLike:
+        """Torque [Nm] of the stretched cross-bridges."""
+        return p[0] * states[0]
+
+    def rates(self, p: Sequence[Array], motion: Motion, states: Array, delayed: Motion) -> Array:
+        """Stretch of the cross-bridges."""
+        forgotten = jnp.abs(motion.velocity) / p[1] + p[2]
+        return jnp.reshape(motion.velocity - forgotten * states[0], (1,))
