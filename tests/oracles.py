@@ -126,7 +126,28 @@ def central_difference(function, x, size, relative=1e-5):
     return np.stack(columns, axis=-1)
 
 
-def method_of_steps(rates, start, t, delay):
+def by_ode(rates, start, t, edges=(), rtol=1e-11):
+    """States of an ordinary differential equation, shape (states, n), stopping at `edges`."""
+    stops = [t[0], *edges, t[-1]]
+    x, found = np.asarray(start, float), np.zeros((len(start), len(t)))
+    for begin, end in pairwise(stops):
+        inside = (t >= begin - 1e-12) & (t <= end + 1e-12)
+        result = scipy.integrate.solve_ivp(
+            lambda time, x, end=end: rates(min(time, end - 1e-12), x),
+            (begin, end),
+            x,
+            method="DOP853",
+            t_eval=np.append(np.clip(t[inside], begin, end)[:-1], end),
+            rtol=rtol,
+            atol=1e-4 * rtol,
+            max_step=1e-3,
+        )
+        found[:, inside] = result.y
+        x = result.y[:, -1]
+    return found
+
+
+def method_of_steps(rates, start, t, delay, rtol=1e-12):
     """States of a delay differential equation that was at rest before 0, shape (states, n).
 
     ``rates(time, x, past)`` gets the states one delay ago. The integration stops and starts again
@@ -141,7 +162,13 @@ def method_of_steps(rates, start, t, delay):
             return rates(time, x, past)
 
         result = scipy.integrate.solve_ivp(
-            section, (begin, end), x, method="DOP853", rtol=1e-12, atol=1e-15, dense_output=True
+            section,
+            (begin, end),
+            x,
+            method="DOP853",
+            rtol=rtol,
+            atol=1e-3 * rtol,
+            dense_output=True,
         )
         inside = (t >= begin - 1e-12) & (t <= end + 1e-12)
         if inside.any():

@@ -1,81 +1,208 @@
-"""What every effect in the registry promises; a new effect is tested by being registered."""
+"""What every effect promises; one in the registry is held to it, and one's own is by listing it."""
 
 import inspect
+import itertools
 import pickle
 from functools import partial
 
 import jax
 import numpy as np
 import pytest
+import scipy.linalg
 from matplotlib.mathtext import MathTextParser
-from oracles import agree, central_difference
+from oracles import agree
 
 from identifiability.errors import InputError
 from identifiability.joint.effects import EFFECTS
-from identifiability.joint.effects.base import Effect
+from identifiability.joint.effects.base import Effect, Motion
 from identifiability.joint.integrator import integrate
 from identifiability.joint.model import KBI, KBI_PARAMETERS
 from identifiability.joint.parameters import Parameter
 from identifiability.joint.response import drive_arrays, exact_response, simulate
 from identifiability.measurement.perturbations import Drive, SampledTorque, imposed_motion
 
-# 100 ms of a smooth torque that begins and ends at rest.
-TIME = np.linspace(0.0, 0.1, 101)
-TORQUE = SampledTorque(10 * np.sin(np.pi * TIME / 0.1) ** 4)
-KBI_VALUES = {"K": 50.0, "B": 2.0, "I": 0.1}
-SUBSTEPS = 4
-
 
 class ParallelSpring(Effect):
-    """A second spring over the joint: something to combine the registered effects with."""
+    """A second spring over the joint, the same in both directions: what one's own effect needs."""
 
     key = "parallel_spring"
+    title = "a second spring"
     place = "joint"
     linear = True
     parameters = (
         Parameter("stiffness", "k", "Nm/rad", 5.0, 0.0, 100.0, "parallel stiffness", null=0.0),
     )
+    references = ("Hooke 1678, De Potentia Restitutiva",)
 
     def torque(self, p, motion, states, delayed):
         return p[0] * motion.angle
 
 
-@pytest.fixture(params=sorted(EFFECTS))
+KINDS = EFFECTS | {ParallelSpring.key: ParallelSpring}
+LINEAR = [key for key in sorted(KINDS) if KINDS[key].linear]
+
+# All runs have this many samples and go in batches of this size: two compilations for each model.
+TIME = np.arange(201) * 1e-3
+BATCH = 64
+BUMP = np.where(TIME < 0.1, np.sin(np.pi * TIME / 0.1) ** 4, 0.0)
+TORQUE = 10 * BUMP
+DRIVES = {
+    "torque": SampledTorque(TORQUE).drive(TIME),
+    "angle": imposed_motion(TIME, 0.05 * BUMP),
+}
+KBI_VALUES = {"K": 50.0, "B": 2.0, "I": 0.1}
+
+# Values away from the plain form, and from where a response bends as a function of a parameter:
+# an asymmetry or a threshold of 0, a delay of whole samples.
+GENERIC = {
+    "coulomb_friction": {"breakaway": 0.3},
+    "hill_force_velocity": {"asymmetry": 0.3},
+    "nonlinear_tendon": {"asymmetry": 0.3},
+    "sensor_delay": {"delay": 0.0033},
+    "sensor_drift": {"bend": 0.1},
+    "sensor_lowpass": {"second_time_constant": 0.002},
+    "short_range_stiffness": {"renewal": 5.0},
+    "stretch_reflex": {"asymmetry": 0.3, "threshold": 0.2, "off_ratio": 1.7, "delay": 0.0203},
+}
+# Smooth in pieces: their rates have corners, at rest (short range), at the threshold and where
+# activation becomes deactivation (reflex). Second derivatives of the steps do not see these.
+IN_PIECES = {"short_range_stiffness", "stretch_reflex"}
+# Sensors that read the response between its samples, and how well: this is no matter of the steps.
+BETWEEN_SAMPLES = {"sensor_delay": 3e-4, "sensor_lowpass": 2e-3}
+# Bounds within which the joint of KBI_VALUES is stable, where the effect can feed energy into it.
+STABLE = {
+    "activation_lag.gain": (0.0, 200.0),
+    "cubic_stiffness.coefficient": (0.0, 20000.0),
+    "gravity.moment": (0.0, 100.0),
+    "gravity.posture": (-1.5, 1.5),
+    "quadratic_stiffness.coefficient": (-100.0, 200.0),
+    "sensor_delay.delay": (0.0, 0.05),  # before its cause it would be bounded, but not causal
+    "sensor_drift.rate": (-0.1, 0.1),
+    "sensor_drift.bend": (-0.1, 0.1),
+    "stretch_reflex.position_gain": (0.0, 100.0),
+    "stretch_reflex.velocity_gain": (0.0, 5.0),
+}
+
+
+@pytest.fixture(params=sorted(KINDS))
 def effect(request):
-    return EFFECTS[request.param]()
+    return KINDS[request.param]()
+
+
+@pytest.fixture(params=DRIVES)
+def driven(request):
+    return request.param
 
 
 def values_of(model, **changes):
-    """Parameter vector: the KBI above, effects at their nominal values, some changed by name."""
-    nominal = dict(zip(model.parameter_names, model.nominal, strict=True))
-    return model.vector(nominal | KBI_VALUES | changes)
+    """Parameter vector: the KBI above, effects at generic values, some changed by name."""
+    values = dict(zip(model.parameter_names, model.nominal, strict=True)) | KBI_VALUES
+    for key in model.effect_keys:
+        values |= {f"{key}.{name}": value for name, value in GENERIC.get(key, {}).items()}
+    return model.vector(values | changes)
 
 
-def respond(model, values, drive):
-    return simulate(model, values, drive, substeps=None if model.linear else SUBSTEPS)
+def nulls_of(effect):
+    return {f"{effect.key}.{p.name}": p.null for p in effect.parameters if p.null is not None}
+
+
+def respond(model, values, drive, order=4):
+    """Integrated responses with one step a sample, shape (..., 201)."""
+    values = np.asarray(values)
+    flat = values.reshape(-1, values.shape[-1])
+    full = np.concatenate([flat, np.repeat(flat[-1:], -len(flat) % BATCH, axis=0)])
+    arrays, fine = drive_arrays(drive), drive.refined(1)
+    parts = [
+        np.asarray(_responses(model, order, full[i : i + BATCH], arrays, fine))
+        for i in range(0, len(full), BATCH)
+    ]
+    return np.concatenate(parts)[: len(flat)].reshape(*values.shape[:-1], -1)
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def _responses(model, order, thetas, arrays, fine):
+    return jax.vmap(lambda theta: integrate(model, theta, arrays, fine, 1, order))(thetas)
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def slopes(model, exact, values, size, arrays, fine):
+    """First derivatives with respect to parameters in units of their size."""
+
+    def response(x):
+        if exact:
+            return exact_response(model, values + size * x, arrays)
+        return integrate(model, values + size * x, arrays, fine, 1)
+
+    return jax.jacfwd(response)(np.zeros(size.size))
 
 
 @partial(jax.jit, static_argnums=0)
-def jacobian(model, values, arrays, fine):
-    def response(x):
-        if model.linear:
-            return exact_response(model, x, arrays)
-        return integrate(model, x, arrays, fine, SUBSTEPS)
+def bends(model, values, size, direction, arrays, fine):
+    """First derivatives, and second derivatives along a direction, of the integrated response."""
 
-    return jax.jacfwd(response)(values)
+    def along(x):
+        def response(y):
+            return integrate(model, values + size * y, arrays, fine, 1)
+
+        return jax.jvp(response, (x,), (direction,))
+
+    return jax.jacfwd(along)(np.zeros(size.size))
+
+
+def differences(results, step):
+    """Derivative from results at -2, -1, 1 and 2 steps, along the first axis."""
+    return np.tensordot([1.0, -8.0, 8.0, -1.0], results, axes=1) / (12 * step)
+
+
+def halved(drive):
+    """The first half of the same drive, at twice the rate: of as many samples."""
+    half = scipy.linalg.expm(drive.generator * drive.interval / 2)
+    states = np.stack([drive.states, drive.states @ half.T], axis=1)
+    states = states.reshape(-1, states.shape[-1])[: len(drive.states)]
+    return Drive(drive.interval / 2, drive.generator, drive.readout, states, drive.impulses)
 
 
 # What it declares
 
 
-def test_key_and_place(effect):
-    assert EFFECTS[effect.key] is type(effect)
+def test_key_place_and_kind(effect):
+    assert KINDS[effect.key] is type(effect)
     assert effect.key == effect.key.lower()
     assert effect.key.isidentifier()
-    assert effect.place in {"joint", "muscle", "series"}
+    assert effect.place in {"joint", "muscle", "series", "sensor"}
+    assert effect.kind == ("measurement" if effect.place == "sensor" else "physics")
     assert isinstance(effect.linear, bool)
     assert isinstance(effect.n_states, int)
     assert effect.n_states >= 0
+    own = vars(type(effect))
+    assert ("rates" in own) == (effect.n_states > 0)
+    if effect.place == "sensor":
+        assert "record" in own
+        assert not {"torque", "rates", "delay"} & set(own)
+    else:
+        assert "torque" in own
+        assert "record" not in own
+    if effect.place == "series":
+        assert effect.n_states == 0
+
+
+def test_title_reads_in_a_sentence(effect):
+    first = effect.title.split()[0]
+    assert first.islower() or first.endswith("'s"), "begins like a sentence, not like a name"
+    assert effect.title == effect.title.strip(" .,;:")
+    assert 1 < len(f"The joint may have {effect.title}.".split()) <= 15
+
+
+def test_what_it_is_confused_with_is_registered(effect):
+    for keys in (effect.confused_with, effect.equivalent, effect.refines):
+        assert isinstance(keys, tuple)
+        assert len(set(keys)) == len(keys)
+        assert set(keys) <= set(EFFECTS) - {effect.key}
+    assert set(effect.equivalent) | set(effect.refines) <= set(effect.confused_with)
+    if effect.key in EFFECTS:
+        assert effect.confused_with
+        for key in effect.equivalent:
+            assert effect.key in EFFECTS[key].equivalent
 
 
 def test_docstring_says_what_it_is(effect):
@@ -98,75 +225,99 @@ def test_parameters_are_declared_sanely(effect):
     names = [parameter.name for parameter in effect.parameters]
     assert len(set(names)) == len(names)
     parser = MathTextParser("agg")
-    for parameter in effect.parameters:
-        assert parameter.name.isidentifier()
-        assert parameter.lower <= parameter.nominal <= parameter.upper
-        assert np.isfinite([parameter.lower, parameter.nominal, parameter.upper]).all()
-        assert len(parameter.description.split()) >= 2
-        assert parameter.unit
-        assert "deg" not in parameter.unit
-        assert "$" not in parameter.symbol
-        parser.parse(f"${parameter.symbol}$")
-    assert any(parameter.null is not None for parameter in effect.parameters)
+    for p in effect.parameters:
+        assert p.name.isidentifier()
+        assert p.lower <= p.nominal <= p.upper
+        assert np.isfinite([p.lower, p.nominal, p.upper]).all()
+        assert p.plain is None or p.lower <= p.plain <= p.upper
+        assert p.null is None or np.isinf(p.null) or p.lower <= p.null <= p.upper
+        assert len(p.description.split()) >= 2
+        assert p.unit
+        assert "deg" not in p.unit
+        assert "$" not in p.symbol
+        parser.parse(f"${p.symbol}$")
+    # It can vanish, and has more to it than refinements.
+    assert nulls_of(effect)
+    assert any(p.plain is None for p in effect.parameters)
+
+
+def test_affine_in_velocity_is_true(effect):
+    if effect.place != "muscle" or not effect.affine_in_velocity:
+        return
+    p = [parameter.nominal for parameter in effect.parameters]
+    states, past = np.full(effect.n_states, 0.01), Motion(0.0, 0.0)
+    torque = [effect.torque(p, Motion(0.1, v), states, past) for v in (-20.0, 0.0, 20.0)]
+    assert abs(torque[0] - 2 * torque[1] + torque[2]) <= 1e-12 * max(np.abs(torque))
 
 
 # What it does
 
 
-NULL_CASES = [
-    pytest.param(kind(), parameter, id=f"{key}.{parameter.name}")
-    for key, kind in sorted(EFFECTS.items())
-    for parameter in kind.parameters
-    if parameter.null is not None
-]
+def test_it_vanishes_at_its_null_values(effect, driven):
+    model, drive, null = KBI() + effect, DRIVES[driven], nulls_of(effect)
+    expected = simulate(KBI(), values_of(KBI()), drive)
 
-
-@pytest.mark.parametrize(("effect", "parameter"), NULL_CASES)
-def test_it_vanishes_at_its_null_value(effect, parameter):
-    model, drive = KBI() + effect, TORQUE.drive(TIME)
-    expected = respond(KBI(), values_of(KBI()), drive)
-    name = f"{effect.key}.{parameter.name}"
-
-    def distance(value):
-        found = respond(model, values_of(model, **{name: value}), drive)
+    def distance(changes):
+        found = respond(model, values_of(model, **changes), drive)
         return np.max(np.abs(found - expected)) / np.max(np.abs(expected))
 
-    # Away from it there is something to see.
-    assert distance(parameter.nominal) > 1e-4
-    if np.isfinite(parameter.null):
-        assert distance(parameter.null) < (1e-9 if model.linear else 1e-6)
+    # Away from them there is something to see.
+    assert distance({}) > 1e-4
+    if np.all(np.isfinite(list(null.values()))):
+        assert distance(null) < 1e-9
         return
-    errors = [distance(parameter.nominal * factor) for factor in (1e2, 1e3, 1e4)]
-    assert errors[-1] < 1e-3
-    np.testing.assert_allclose(errors[0] / errors[1], 10.0, rtol=0.1)
-    np.testing.assert_allclose(errors[1] / errors[2], 10.0, rtol=0.1)
+    # An infinite value is approached with its inverse.
+    (name,), nominal = null, dict(zip(model.parameter_names, model.nominal, strict=True))
+    errors = [distance({name: nominal[name] * factor}) for factor in (10.0, 30.0, 90.0)]
+    assert errors[-1] < 5e-3
+    np.testing.assert_allclose(errors[0] / errors[1], 3.0, rtol=0.1)
+    np.testing.assert_allclose(errors[1] / errors[2], 3.0, rtol=0.1)
 
 
-@pytest.mark.parametrize("driven", ["torque", "angle"])
 def test_derivatives_are_right(effect, driven):
-    model = KBI() + effect
+    model, drive = KBI() + effect, DRIVES[driven]
     values = values_of(model)
-    if driven == "torque":
-        drive = TORQUE.drive(TIME)
+    size, k = np.abs(values), values.size
+    data = (drive_arrays(drive), drive.refined(1))
+    # A wide difference could reach over a corner.
+    step = 1e-5 if effect.key in IN_PIECES else 1e-4
+    shifts = step * np.array([-2, -1, 1, 2])
+    points = values + shifts[:, None, None] * np.diag(size)
+    expected = differences(respond(model, points, drive), step).T
+    # Linear models have exact responses, whose second derivatives are tested with these.
+    if driven == "torque" and effect.key not in {*IN_PIECES, *LINEAR}:
+        direction = np.random.default_rng(0).uniform(0.5, 1.0, k)
+        found, second = map(np.asarray, bends(model, values, size, direction, *data))
+        moved = [values + shift * direction * size for shift in shifts]
+        firsts = [bends(model, at, size, direction, *data)[0] for at in moved]
+        agree(second, differences(np.asarray(firsts), step), 1e-6)
     else:
-        drive = imposed_motion(TIME, 0.05 * np.sin(np.pi * TIME / 0.1) ** 4)
-    found = np.asarray(jacobian(model, values, drive_arrays(drive), drive.refined(SUBSTEPS)))
-    size = np.maximum(np.abs(values), 1e-3)
-    expected = central_difference(lambda x: respond(model, x, drive), values, size, 1e-4)
-    for column in range(values.size):
-        agree(found[:, column] * size[column], expected[:, column] * size[column], 1e-6)
+        found = np.asarray(slopes(model, False, values, size, *data))
+    for column in range(k):
+        agree(found[:, column], expected[:, column], 1e-6)
     # Each of the effect's own parameters matters.
-    assert np.all(np.max(np.abs(found[:, 3:]), axis=0) > 0)
+    assert np.all(np.max(np.abs(found[:, 3:]), axis=0) > 1e-7 * np.max(np.abs(found)))
+
+
+@pytest.mark.parametrize("key", LINEAR)
+def test_integrated_and_exact_responses_agree(key, driven):
+    model, drive = KBI() + KINDS[key](), DRIVES[driven]
+    values = values_of(model)
+    # Steps are exact for a torque that is linear within them, but not for an imposed motion.
+    rtol = 1e-9 if driven == "torque" else 1e-6
+    agree(respond(model, values, drive), simulate(model, values, drive), rtol)
+    data = (np.abs(values), drive_arrays(drive), drive.refined(1))
+    expected = np.asarray(slopes(model, True, values, *data))
+    agree(np.asarray(slopes(model, False, values, *data)), expected, rtol)
 
 
 def test_no_answer_before_its_cause(effect):
-    model, cut = KBI() + effect, 60
-    values = values_of(model)
+    model, cut = KBI() + effect, 120
     torque = np.random.default_rng(0).uniform(-5, 5, TIME.size)
     changed = torque.copy()
     changed[cut:] += 3.0
     one, other = (
-        respond(model, values, SampledTorque(t, hold="zero-order").drive(TIME))
+        respond(model, values_of(model), SampledTorque(t, hold="zero-order").drive(TIME))
         for t in (torque, changed)
     )
     assert np.array_equal(one[: cut + 1], other[: cut + 1])
@@ -174,34 +325,63 @@ def test_no_answer_before_its_cause(effect):
 
 
 def test_no_answer_before_its_cause_when_the_angle_is_imposed(effect):
-    model, cut = KBI() + effect, 60
-    values = values_of(model)
-    drive = imposed_motion(TIME, 0.05 * np.sin(np.pi * TIME / 0.1) ** 4)
+    model, cut, drive = KBI() + effect, 120, DRIVES["angle"]
     states = drive.states.copy()
     states[cut:, 0] += 0.01
     changed = Drive(drive.interval, drive.generator, drive.readout, states, drive.impulses)
-    one, other = (respond(model, values, d) for d in (drive, changed))
+    one, other = (respond(model, values_of(model), d) for d in (drive, changed))
     assert np.array_equal(one[:cut], other[:cut])
     assert not np.array_equal(one[cut:], other[cut:])
 
 
+def test_only_a_negative_sensor_delay_answers_before_its_cause():
+    # It stands for an imposed signal that was recorded late, so this is what it has to do.
+    model = KBI() + EFFECTS["sensor_delay"]()
+    values = values_of(model, **{"sensor_delay.delay": -0.02})
+    cut = 120
+    drive = SampledTorque(np.where(np.arange(TIME.size) < cut, 0.0, 3.0), hold="zero-order")
+    answered = np.flatnonzero(respond(model, values, drive.drive(TIME)))[0]
+    assert cut - 22 <= answered <= cut - 18
+
+
+def box(effect):
+    """Parameter vectors: every combination of each parameter's bounds and nominal value."""
+    spans = []
+    for p in effect.parameters:
+        lower, upper = STABLE.get(f"{effect.key}.{p.name}", (p.lower, p.upper))
+        spans.append(sorted({lower, float(np.clip(p.nominal, lower, upper)), upper}))
+    return np.array([(*KBI_VALUES.values(), *own) for own in itertools.product(*spans)])
+
+
+@pytest.mark.parametrize("order", [4, 2])
+def test_steps_of_a_millisecond_are_stable(effect, driven, order):
+    model, values, drive = KBI() + effect, box(effect), DRIVES[driven]
+    found = respond(model, values, drive, order)
+    assert np.all(np.isfinite(found))
+    if driven == "torque":
+        # A joint that gives no energy moves no farther than its inertia would without the rest.
+        free = np.cumsum(np.cumsum(TORQUE)) * 1e-6 / KBI_VALUES["I"]
+        assert np.max(np.abs(found)) <= free[-1]
+    # Half the step does not tell a different story, not even in the corners of the box.
+    finer = respond(model, values, halved(drive), order)[:, ::2]
+    change = np.max(np.abs(found[:, :101] - finer), axis=1) / np.max(np.abs(found), axis=1)
+    assert np.max(change) < {4: 0.05, 2: 0.5}[order]
+    # At typical values steps of a millisecond are enough.
+    typical = values_of(model)
+    coarse, finer = (respond(model, typical, d, order) for d in (drive, halved(drive)))
+    agree(coarse[:101], finer[::2], BETWEEN_SAMPLES.get(effect.key, {4: 1e-6, 2: 1e-3}[order]))
+
+
 def test_both_causalities_tell_the_same_story(effect):
+    if effect.kind == "measurement":
+        pytest.skip("it distorts the response, which is the angle in one case, the torque in other")
     model = KBI() + effect
-    values = values_of(model)
-    angle = respond(model, values, TORQUE.drive(TIME))
-    assert np.all(np.isfinite(angle))
-    found = respond(model, values, imposed_motion(TIME, angle))
-    # As far as a spline through the samples of the angle goes, worst near its ends.
-    assert np.max(np.abs(found - TORQUE.values)[5:-5]) < 0.01 * 10.0
-
-
-def test_integrated_and_exact_responses_agree(effect):
-    model = KBI() + effect
-    if not model.linear:
-        pytest.skip("there is no exact response")
-    drive = TORQUE.drive(TIME)
-    found = simulate(model, values_of(model), drive, substeps=SUBSTEPS)
-    agree(found, simulate(model, values_of(model), drive), 1e-6)
+    angle = respond(model, values_of(model), DRIVES["torque"])
+    found = respond(model, values_of(model), imposed_motion(TIME, angle))
+    # As far as a spline through the samples of the angle goes: friction bends it where it reverses.
+    agree(found, TORQUE, 5e-3 if effect.key == "coulomb_friction" else 5e-4)
+    without = simulate(KBI(), values_of(KBI()), imposed_motion(TIME, angle))
+    assert np.max(np.abs(without - TORQUE)) > 10 * np.max(np.abs(found - TORQUE))
 
 
 # How it is added
@@ -219,26 +399,55 @@ def test_it_composes(effect):
         KBI().without(effect.key)
 
 
-def test_the_order_of_addition_does_not_matter(effect):
-    one = KBI() + effect + ParallelSpring()
-    other = KBI() + ParallelSpring() + effect
-    assert one == other
-    assert hash(one) == hash(other)
-    assert one.parameter_names == other.parameter_names
-    assert repr(one) == repr(other)
-    # Beside a spring that lies over the whole joint the effect is as it was.
-    silent = values_of(one, **{"parallel_spring.stiffness": 0.0})
-    alone = KBI() + effect
-    drive = TORQUE.drive(TIME)
-    agree(respond(one, silent, drive), respond(alone, values_of(alone), drive), 1e-9)
+# In every session each effect is paired with one of each place; all pairs on demand.
+PARTNERS = {"series_tendon", "coulomb_friction", "stretch_reflex", "sensor_lowpass"}
+PAIRS = [
+    pytest.param(*pair, marks=() if PARTNERS & set(pair) else pytest.mark.long)
+    for pair in itertools.combinations(sorted(KINDS), 2)
+]
 
 
-def test_all_registered_effects_together_have_distinct_names():
+@pytest.mark.parametrize(("first", "second"), PAIRS)
+def test_pairs_compose(first, second):
+    pair = KINDS[first](), KINDS[second]()
+    model, other = KBI() + pair[0] + pair[1], KBI() + pair[1] + pair[0]
+    assert model == other
+    assert hash(model) == hash(other)
+    assert model.parameter_names == other.parameter_names
+    assert repr(model) == repr(other)
+    alone = model.without(first), model.without(second)
+    assert alone == (KBI() + pair[1], KBI() + pair[0])
+
+    nominal = dict(zip(model.parameter_names, values_of(model), strict=True))
+    strengths = [next(iter(nulls_of(effect))) for effect in pair]
+    stronger = [values_of(model, **{name: 1.5 * nominal[name]}) for name in strengths]
+    vanished = [values_of(model, **nulls_of(effect)) for effect in pair]
+    rows = np.where(np.isfinite(vanished), vanished, 1e7)
+    drive = DRIVES["torque"]
+    both, *changed = respond(model, np.stack([values_of(model), *stronger, *rows]), drive)
+    assert np.all(np.isfinite([both, *changed]))
+    for found in changed[:2]:
+        assert np.max(np.abs(found - both)) > 1e-5 * np.max(np.abs(both))
+    for effect, rest, found in zip(pair, alone, changed[2:], strict=True):
+        if effect.place == rest.effects[0].place == "series":
+            continue  # two tendons lie side by side: an infinite one leaves nothing to the other
+        rtol = 1e-3 if effect.place == "series" else 1e-9
+        agree(found, respond(rest, values_of(rest), drive), rtol)
+
+
+def test_all_effects_compose():
     model = KBI()
-    for kind in EFFECTS.values():
+    for kind in KINDS.values():
         model = model + kind()
-    assert len(set(model.parameter_names)) == 3 + sum(len(e.parameters) for e in EFFECTS.values())
-    assert model.effect_keys == tuple(sorted(EFFECTS))
+    assert len(set(model.parameter_names)) == 3 + sum(len(e.parameters) for e in KINDS.values())
+    assert model.effect_keys == tuple(sorted(KINDS))
+    nominal = dict(zip(model.parameter_names, values_of(model), strict=True))
+    strengths = [next(iter(nulls_of(effect))) for effect in model.effects]
+    rows = [values_of(model), *(values_of(model, **{n: 1.5 * nominal[n]}) for n in strengths)]
+    both, *changed = respond(model, np.stack(rows), DRIVES["torque"])
+    assert np.all(np.isfinite(both))
+    for found in changed:
+        assert np.max(np.abs(found - both)) > 1e-5 * np.max(np.abs(both))
 
 
 def test_adding_it_twice_is_refused(effect):
@@ -262,14 +471,13 @@ def test_it_pickles(effect):
     copy = pickle.loads(pickle.dumps(model))
     assert copy == model
     assert hash(copy) == hash(model)
-    drive = TORQUE.drive(TIME)
-    found, expected = (respond(m, values_of(model), drive) for m in (copy, model))
-    assert np.array_equal(found, expected)
+    assert copy.parameters == model.parameters
 
 
 def test_effects_are_equal_by_kind_alone(effect):
     assert effect == type(effect)()
-    assert effect != ParallelSpring()
+    others = [kind() for key, kind in KINDS.items() if key != effect.key]
+    assert effect not in others
 
 
 def test_values_must_be_given_for_exactly_the_parameters(effect):

@@ -1,4 +1,4 @@
-"""Inertia, stiffness and damping of a hidden joint, and how muscle and passive tissue share them."""
+"""Inertia, stiffness and damping of a hidden joint, and the muscle's share in them."""
 
 from __future__ import annotations
 

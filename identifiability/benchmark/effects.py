@@ -26,7 +26,7 @@ Reaction = tuple[float, Sequence[float]]
 AT_REST: tuple[float, ...] = ()
 
 
-class Effect(ABC):
+class HiddenEffect(ABC):
     """A physical effect beside inertia, damping and stiffness.
 
     Attributes
@@ -54,7 +54,7 @@ class Effect(ABC):
         return dataclasses.replace(self, **changes)  # type: ignore[type-var]
 
 
-class TorqueEffect(Effect):
+class TorqueEffect(HiddenEffect):
     """An effect that resists the joint's motion by a torque, with states that are 0 at rest."""
 
     def n_states(self) -> int:
@@ -87,7 +87,7 @@ class TorqueEffect(Effect):
 # In series with the muscle
 
 
-class Tendon(Effect):
+class Tendon(HiddenEffect):
     """An elastic element between the muscle and the joint."""
 
     @abstractmethod
@@ -171,7 +171,7 @@ class NonlinearTendon(Tendon):
 
 
 @dataclass(frozen=True)
-class HillForceVelocity(Effect):
+class HillForceVelocity(HiddenEffect):
     """Force-velocity relation of two antagonist muscles (Hill 1938; eccentric after Katz 1939).
 
     Attributes
@@ -456,7 +456,7 @@ class QuadraticStiffness(TorqueEffect):
     @classmethod
     def draw(cls, rng: np.random.Generator, anatomy: Anatomy, form: str) -> Self:  # noqa: D102
         rate = rng.uniform(0.7, 1.5) if form == "polynomial" else rng.uniform(0.8, 2.2)
-        return cls(anatomy.stiffness, rate * rng.choice([-1.0, 1.0]), form)
+        return cls(anatomy.stiffness, rate * float(rng.choice([-1.0, 1.0])), form)
 
     def scaled(self, size: float) -> Self:  # noqa: D102
         return self._times(size, "rate")
@@ -506,7 +506,7 @@ class CubicStiffness(TorqueEffect):
 
 
 @dataclass(frozen=True)
-class CoulombFriction(Effect):
+class CoulombFriction(HiddenEffect):
     """Dry friction: it holds the joint up to its static torque, then slides (Stribeck 1902).
 
     Attributes
@@ -564,7 +564,7 @@ class Gravity(TorqueEffect):
     def draw(cls, rng: np.random.Generator, anatomy: Anatomy, form: str) -> Self:  # noqa: D102
         return cls(
             rng.uniform(0.5, 1.2) * anatomy.stiffness,
-            rng.uniform(0.5, 1.4) * rng.choice([-1.0, 1.0]),
+            rng.uniform(0.5, 1.4) * float(rng.choice([-1.0, 1.0])),
         )
 
     def scaled(self, size: float) -> Self:  # noqa: D102
@@ -621,7 +621,7 @@ class SecondMass(TorqueEffect):
 
 
 @dataclass(frozen=True)
-class SensorDelay(Effect):
+class SensorDelay(HiddenEffect):
     """The angle is recorded late.
 
     Attributes
@@ -680,7 +680,7 @@ class SensorLowpass(TorqueEffect):
 
 
 @dataclass(frozen=True)
-class SensorDrift(Effect):
+class SensorDrift(HiddenEffect):
     """The zero of the angle wanders, in the same way in every trial.
 
     Attributes
@@ -702,7 +702,7 @@ class SensorDrift(Effect):
     @classmethod
     def draw(cls, rng: np.random.Generator, anatomy: Anatomy, form: str) -> Self:  # noqa: D102
         ramp, swing = rng.uniform(0.005, 0.02), rng.uniform(0.001, 0.005)
-        signs = rng.choice([-1.0, 1.0], size=2)
+        signs = rng.choice([-1.0, 1.0], size=2).tolist()
         return cls(ramp * signs[0], swing * signs[1], rng.uniform(0.4, 1.5))
 
     def scaled(self, size: float) -> Self:  # noqa: D102
@@ -713,7 +713,7 @@ class SensorDrift(Effect):
         return self.ramp * time + self.swing * np.sin(2.0 * np.pi * self.frequency * time)
 
 
-EFFECTS: dict[str, type[Effect]] = {
+EFFECTS: dict[str, type[HiddenEffect]] = {
     effect.key: effect
     for effect in (
         SeriesTendon,

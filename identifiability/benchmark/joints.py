@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeVar
@@ -15,7 +17,7 @@ from identifiability.benchmark.effects import (
     AT_REST,
     EFFECTS,
     CoulombFriction,
-    Effect,
+    HiddenEffect,
     HillForceVelocity,
     Past,
     Reaction,
@@ -28,11 +30,16 @@ from identifiability.benchmark.effects import (
 from identifiability.benchmark.unknowns import UNKNOWNS, Backlash
 from identifiability.errors import InputError
 
-E = TypeVar("E", bound=Effect)
+E = TypeVar("E", bound=HiddenEffect)
 
-RTOL, ATOL = 1e-9, 1e-11
+RTOL = 1e-9
+"""Relative tolerance of the integration; the absolute one is a hundredth of it."""
+
 MEMORY_STEP = 0.25e-3
-"""Largest interval (s) at which the motion is kept for a delayed effect."""
+"""Largest interval (s) at which the motion is kept for a delayed effect, at this tolerance."""
+
+LARGEST_ANGLE = 100.0
+"""Angle (rad) beyond which a joint has run away."""
 
 BREAKAWAY_SPEED = 1e-9
 """Velocity (rad/s) with which a joint leaves standstill, so that it is seen to have left."""
@@ -50,17 +57,19 @@ class Joint:
     ----------
     anatomy : Anatomy
         Inertia, stiffness and damping.
-    effects : tuple of Effect
+    effects : tuple of HiddenEffect
         The effects, at most one of each kind.
     """
 
     anatomy: Anatomy
-    effects: tuple[Effect, ...] = ()
+    effects: tuple[HiddenEffect, ...] = ()
 
     def __post_init__(self) -> None:
         keys = [effect.key for effect in self.effects]
         if len(set(keys)) < len(keys) or sum(isinstance(e, Tendon) for e in self.effects) > 1:
             raise InputError(f"found the effects {keys}, expected each, and one tendon, once")
+        if Backlash.key in keys and len(keys) > 1:
+            raise InputError(f"found the effects {keys}, but backlash can only be had alone")
 
     @property
     def keys(self) -> tuple[str, ...]:
@@ -84,9 +93,14 @@ class Joint:
 
     def scaled(self, stiffness: float, damping: float, inertia: float = 1.0) -> Joint:
         """Return the joint with its anatomy multiplied by factors, its effects as they are."""
-        return Joint(self.anatomy.scaled(stiffness, damping, inertia), self.effects)
+        anatomy = self.anatomy.scaled(stiffness, damping, inertia)
+        effects = (
+            dataclasses.replace(effect, limb=anatomy) if isinstance(effect, Backlash) else effect
+            for effect in self.effects
+        )
+        return Joint(anatomy, tuple(effects))
 
-    def respond(self, torque: np.ndarray, interval: float) -> np.ndarray:
+    def respond(self, torque: np.ndarray, interval: float, rtol: float = RTOL) -> np.ndarray:
         """Angle that an ideal recorder behind this joint's sensor sees.
 
         Parameters
@@ -95,6 +109,8 @@ class Joint:
             Applied torque (Nm) at the samples, linear between them.
         interval : float
             Sampling interval (s).
+        rtol : float
+            Relative tolerance of the integration.
 
         Returns
         -------
@@ -105,8 +121,10 @@ class Joint:
         ------
         InputError
             Where a delay inside the joint is shorter than the sampling interval.
+        ArithmeticError
+            Where the joint runs away, as with too much delayed feedback.
         """
-        recorded = _Run(self, np.asarray(torque, float), interval).recorded()
+        recorded = _Run(self, np.asarray(torque, float), interval, rtol).recorded()
         for effect in self.effects:
             if isinstance(effect, SensorDrift):
                 recorded = recorded + effect.offset(np.arange(recorded.size) * interval)
@@ -185,7 +203,7 @@ class _Muscle:
         return speed
 
 
-def _find(kind: type[E], effects: Sequence[Effect]) -> E | None:
+def _find(kind: type[E], effects: Sequence[HiddenEffect]) -> E | None:
     return next((effect for effect in effects if isinstance(effect, kind)), None)
 
 
@@ -195,7 +213,7 @@ class _Run:
     States: angle and velocity of the joint, then those of the muscle and of each effect.
     """
 
-    def __init__(self, joint: Joint, torque: np.ndarray, interval: float) -> None:
+    def __init__(self, joint: Joint, torque: np.ndarray, interval: float, rtol: float) -> None:
         effects = joint.effects
         backlash = _find(Backlash, effects)
         anatomy = joint.anatomy if backlash is None else backlash.handle()
@@ -209,14 +227,15 @@ class _Run:
         torque_effects = [e for e in effects if isinstance(e, TorqueEffect)]
         self._parts: list[tuple[_Muscle | TorqueEffect, int, int]] = []
         self._seen, n_states = 0, 2
-        for part in (muscle, *torque_effects):
+        parts: list[_Muscle | TorqueEffect] = [muscle, *torque_effects]
+        for part in parts:
             if isinstance(part, SensorLowpass):
                 self._seen = n_states
             self._parts.append((part, n_states, n_states + part.n_states()))
             n_states += part.n_states()
         self._state = np.zeros(n_states)
 
-        self._torque, self._interval = torque, interval
+        self._torque, self._interval, self._rtol = torque, interval, rtol
         sensor_delay = _find(SensorDelay, effects)
         late = 0.0 if sensor_delay is None else sensor_delay.delay
         self._wanted = np.arange(torque.size) * interval - late
@@ -233,7 +252,9 @@ class _Run:
                 f"found a delay of {shortest:g} s inside the joint, expected at least the "
                 f"sampling interval of {interval:g} s"
             )
-        self._memory_step = interval / np.ceil(interval / MEMORY_STEP - 1e-9)
+        # Cubic interpolation errs as the fourth power of the step.
+        coarsest = MEMORY_STEP * (rtol / RTOL) ** 0.25
+        self._memory_step = interval / math.ceil(interval / coarsest - 1e-9)
         self._memory: list[tuple[float, float, float]] = [(0.0, 0.0, 0.0)]
         self._load = (0.0, 0.0, 0.0)  # start of the leg (s), torque there (Nm), its slope (Nm/s)
 
@@ -242,7 +263,7 @@ class _Run:
         slopes = np.diff(self._torque) / self._interval
         corners = np.flatnonzero(np.abs(np.diff(slopes)) > 1e-9) + 1
         ends = [0, *corners.tolist(), self._torque.size - 1]
-        for left, right in zip(ends[:-1], ends[1:], strict=True):
+        for left, right in itertools.pairwise(ends):
             for first in range(left, right, self._longest):
                 last = min(first + self._longest, right)
                 start = first * self._interval
@@ -259,13 +280,13 @@ class _Run:
                 (start, stop),
                 self._state,
                 method="DOP853",
-                rtol=RTOL,
-                atol=ATOL,
+                rtol=self._rtol,
+                atol=0.01 * self._rtol,
                 first_step=min(stop - start, 2.0 * self._interval),
                 dense_output=self._remembers or within.size > 0,
                 events=self._events(),
             )
-            if not solution.success or not np.all(np.isfinite(solution.y[:, -1])):
+            if not solution.success or not abs(solution.y[0, -1]) < LARGEST_ANGLE:
                 raise ArithmeticError(f"the joint could not be followed beyond {start:g} s")
             end = stop if solution.status == 0 else float(solution.t[-1])
             self._state = solution.y[:, -1].copy()

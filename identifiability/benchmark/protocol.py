@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cache
 
 import numpy as np
 from scipy import signal
 
-from identifiability.benchmark.joints import Joint
+from identifiability.benchmark.joints import RTOL, Joint
 from identifiability.measurement.trials import Trial
 
 INTERVAL = 1e-3
@@ -40,6 +42,9 @@ class Load:
     kind: str
     amplitude: float
     torque: np.ndarray = field(repr=False)
+
+    def __post_init__(self) -> None:
+        self.torque.flags.writeable = False
 
     @property
     def name(self) -> str:
@@ -127,6 +132,7 @@ def multisine(amplitude: float, seed: int, n_samples: int = 1000) -> Load:
     return Load("multisine", amplitude, torque)
 
 
+@cache
 def standard() -> Protocol:
     """Ten trials to fit, and six held out, one of them of a larger amplitude than any fitted."""
     return Protocol(
@@ -153,6 +159,7 @@ def standard() -> Protocol:
     )
 
 
+@cache
 def short() -> Protocol:
     """Six trials of half a second to fit, and two held out."""
     return Protocol(
@@ -181,7 +188,7 @@ def record(load: Load, angle: np.ndarray, recorder: Recorder, rng: np.random.Gen
     rng : numpy.random.Generator
     """
     n = angle.size
-    time = np.arange(n) * INTERVAL
+    time = np.arange(n, dtype=np.float64) * INTERVAL
     sd = np.sqrt(recorder.ratio * np.mean(angle**2))
     rho = recorder.correlation
     shocks = rng.standard_normal(n)
@@ -199,6 +206,6 @@ def record(load: Load, angle: np.ndarray, recorder: Recorder, rng: np.random.Gen
     return Trial(time, torque, recorded, driven="torque", name=load.name, condition=load.kind)
 
 
-def responses(joint: Joint, loads: tuple[Load, ...]) -> list[np.ndarray]:
+def responses(joint: Joint, loads: Sequence[Load], rtol: float = RTOL) -> list[np.ndarray]:
     """Angles (rad) without noise under each torque, arrays of shape (n,)."""
-    return [joint.respond(load.torque, INTERVAL) for load in loads]
+    return [joint.respond(load.torque, INTERVAL, rtol) for load in loads]

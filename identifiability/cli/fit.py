@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -38,8 +39,8 @@ def add_file_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
-def read_trials(options: argparse.Namespace) -> list[Trial]:
-    """Read the trials that the file options name."""
+def read_trials(options: argparse.Namespace, files: Sequence[Path] | None = None) -> list[Trial]:
+    """Read the trials that the file options name, or those in other files, read alike."""
     from identifiability.measurement.readers import parse_columns, read_trial
 
     columns = parse_columns(options.columns) if options.columns else None
@@ -52,7 +53,7 @@ def read_trials(options: argparse.Namespace) -> list[Trial]:
             restoring=options.restoring,
             driven=options.driven,
         )
-        for path in options.files
+        for path in (options.files if files is None else files)
     ]
 
 
@@ -100,8 +101,8 @@ def run(options: argparse.Namespace) -> int:
 
     if options.seed < 0:
         raise InputError(f"found the seed {options.seed}, expected 0 or more")
-    lowpass = _lowpass(options.lowpass, LOWPASS_HZ)
-    prior = Prior.physical(KBI(), **_bounds(options.bounds))
+    lowpass = parse_lowpass(options.lowpass, LOWPASS_HZ)
+    prior = Prior.physical(KBI(), **parse_bounds(options.bounds))
     trials = read_trials(options)
     lengths = options.window or _usual_windows(trials)
     for length in lengths:
@@ -237,7 +238,8 @@ def _announce(what: str, done: int, total: int) -> None:
     print(f"[{done}/{total}] {what}", file=sys.stderr, flush=True)
 
 
-def _lowpass(text: str | None, default: float) -> float | None:
+def parse_lowpass(text: str | None, default: float) -> float | None:
+    """Cut-off frequency [Hz] of an option, ``None`` for no filter."""
     if text is None:
         return default
     if text == "none":
@@ -251,7 +253,8 @@ def _lowpass(text: str | None, default: float) -> float | None:
     return value
 
 
-def _bounds(texts: list[str]) -> dict[str, tuple[float, float]]:
+def parse_bounds(texts: list[str]) -> dict[str, tuple[float, float]]:
+    """Bounds by parameter name, from ``NAME=LOW:HIGH``."""
     bounds = {}
     for text in texts:
         try:

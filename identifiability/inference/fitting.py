@@ -120,22 +120,16 @@ def fit(problem: Problem, starts: np.ndarray, *, polish: bool = True) -> Fit:
     return _finish(problem, values, cost, costs, reached, "least squares")
 
 
-def explore(
-    problem: Problem, starts: np.ndarray, *, glance: int = 12, most: int = 100, keep: int = 2
-) -> Fit:
-    """Fit by bounded least squares, with little time spent on starts that fall behind.
+def explore(problem: Problem, starts: np.ndarray, *, evaluations: int) -> Fit:
+    """Fit by bounded least squares with a limited number of evaluations from every start.
 
     Parameters
     ----------
     problem : Problem
         With noise such that its cost is a log likelihood: differences far below 1 do not matter.
     starts : array, shape (n_starts, n_free)
-    glance : int
-        Evaluations of every start before they are compared.
-    most : int
-        Evaluations of those that go on.
-    keep : int
-        Number of starts that go on.
+    evaluations : int
+        Most evaluations from one start.
 
     Returns
     -------
@@ -147,38 +141,28 @@ def explore(
         Where no start leads to a finite response.
     """
     starts = _inside(problem, np.atleast_2d(starts))
-    costs, reached = np.full(len(starts), np.inf), starts.copy()
-    done = np.zeros(len(starts), bool)
-    best, failure = None, ""
-    for evaluations in (glance, most):
-        chosen = np.argsort(costs, kind="stable")[: len(starts) if evaluations == glance else keep]
-        for i in chosen:
-            # A start that has come to the best one's place has nothing to add.
-            same = [j for j in chosen if j < i and abs(costs[j] - costs[i]) < 0.01]
-            if done[i] or (evaluations == most and (not np.isfinite(costs[i]) or same)):
-                continue
-            try:
-                result = scipy.optimize.least_squares(
-                    problem.residuals,
-                    reached[i],
-                    jac=problem.jacobian,
-                    bounds=(problem.lower, problem.upper),
-                    x_scale="jac",
-                    ftol=1e-7,
-                    xtol=1e-8,
-                    gtol=1e-10,
-                    max_nfev=evaluations,
-                )
-            except (ValueError, np.linalg.LinAlgError) as error:
-                done[i], failure = True, str(error)
-                continue
-            costs[i], reached[i] = result.cost, _inside(problem, result.x)
-            done[i] = result.status > 0
-            if best is None or result.cost <= best.cost:
-                best = result
-    if best is None:
+    costs, reached, failure = np.full(len(starts), np.inf), starts.copy(), ""
+    for i, start in enumerate(starts):
+        try:
+            result = scipy.optimize.least_squares(
+                problem.residuals,
+                start,
+                jac=problem.jacobian,
+                bounds=(problem.lower, problem.upper),
+                x_scale="jac",
+                ftol=1e-6,
+                xtol=1e-7,
+                gtol=1e-10,
+                max_nfev=evaluations,
+            )
+        except (ValueError, np.linalg.LinAlgError) as error:
+            failure = str(error)
+            continue
+        costs[i], reached[i] = result.cost, result.x
+    best = int(np.argmin(costs))
+    if not np.isfinite(costs[best]):
         raise InputError(f"no start gave a finite response ({failure}); check data and bounds")
-    return _finish(problem, best.x, float(best.cost), costs, reached, "least squares")
+    return _finish(problem, reached[best], float(costs[best]), costs, reached, "least squares")
 
 
 def fit_simplex(

@@ -145,7 +145,10 @@ def observe(
 
 
 class Data(NamedTuple):
-    """Observations stacked for compiled functions, padded to the longest; leading axis: trials."""
+    """Observations stacked for compiled functions, padded to the longest; leading axis: trials.
+
+    The interval is a single one where all trials share it.
+    """
 
     interval: Array
     generator: Array
@@ -185,7 +188,7 @@ def _stack(
     if substeps is not None:
         fine = padded([d.refined(substeps) for d in drives])[:, : longest - 1]
     arrays = (
-        np.resize([d.interval for d in drives], rows),
+        _common([d.interval for d in drives], rows),
         drives[0].generator,
         drives[0].readout,
         padded([d.states for d in drives]),
@@ -200,6 +203,13 @@ def _stack(
         np.zeros(n_offsets),
     )
     return Data(*(jnp.asarray(array) for array in arrays))
+
+
+def _common(intervals: Sequence[float], rows: int) -> np.ndarray:
+    """One sampling interval where all are equal: steps then fall together, which is much faster."""
+    if np.ptp(intervals) <= 1e-9 * intervals[0]:
+        return np.array(intervals[0])
+    return np.resize(intervals, rows)
 
 
 @dataclass(frozen=True, eq=False)
@@ -422,7 +432,8 @@ def _stacked_responses(program: Program, x: ArrayLike, template: ArrayLike, data
             return exact_response(program.model, theta, arrays)
         return integrate(program.model, theta, arrays, fine, program.substeps, program.order)
 
-    return jax.vmap(respond)(data.interval, data.states, data.impulses, data.fine)
+    along = (None if jnp.ndim(data.interval) == 0 else 0, 0, 0, 0)
+    return jax.vmap(respond, along)(data.interval, data.states, data.impulses, data.fine)
 
 
 def whitened(program: Program, x: ArrayLike, template: ArrayLike, data: Data) -> Array:
@@ -441,9 +452,7 @@ def _negative_log_likelihood(program: Program, x: Array, template: Array, data: 
     return 0.5 * white @ white
 
 
-_responses = jax.jit(
-    _stacked_responses, static_argnums=0, compiler_options=QUICK_COMPILATION
-)
+_responses = jax.jit(_stacked_responses, static_argnums=0, compiler_options=QUICK_COMPILATION)
 
 
 @partial(jax.jit, static_argnums=0, compiler_options=QUICK_COMPILATION)

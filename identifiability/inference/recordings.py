@@ -378,7 +378,7 @@ def fit_recordings(
     prepared = tuple(prepare(trial, model, lowpass_hz=lowpass_hz) for trial in trials)
     selections_by_window = [[windows(p, length) for p in prepared] for length in window_lengths]
     selections = [whole(p) for p in prepared]
-    start = _first_guess(prepared, prior)
+    start = first_guess([p.trial for p in prepared], prior)
     starts_seed, *window_seeds = np.random.SeedSequence(seed).generate_state(
         1 + len(window_lengths)
     )
@@ -522,11 +522,21 @@ def _hold_out(
     ), []
 
 
-def _first_guess(prepared: Sequence[Prepared], prior: Prior) -> np.ndarray:
-    """K, B and I by linear regression of torque on the smoothed motion; the rest is nominal."""
+def first_guess(trials: Sequence[Trial], prior: Prior) -> np.ndarray:
+    """K, B and I by linear regression of torque on the smoothed motion, within the bounds.
+
+    Parameters
+    ----------
+    trials : sequence of Trial
+    prior : Prior
+        Its first three bounds are those of K, B and I.
+
+    Returns
+    -------
+    array, shape (3,)
+    """
     rows, targets = [], []
-    for p in prepared:
-        trial = p.trial
+    for trial in trials:
         angle, torque = trial.angle, trial.torque
         if trial.driven == "torque":
             sos = signal.butter(

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from identifiability.errors import InputError
-from identifiability.inference.fitting import at_bounds, explore
+from identifiability.inference.fitting import Fit, at_bounds, explore
 from identifiability.inference.problem import Observation, Prior, Problem
 from identifiability.inference.recordings import integrated_autocorrelation
 from identifiability.investigation.evidence import Evidence, Ready
@@ -18,6 +18,9 @@ from identifiability.joint.model import Model
 
 _FACTORS = (0.4, 1.0, 2.5)
 _MOST_STARTS = 6
+GLANCE, THOROUGH = 10, 100
+"""Evaluations from each start: to see whether a candidate is worth more, and to finish it."""
+_KEPT, _NEAR = 2, 2.0  # starts that are carried on: so many, at most so many times the best cost
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +67,12 @@ class Candidate:
     at_bound : tuple of str
     n_agreeing, n_starts : int
         Number of starts that reached the best cost, and of all.
+    reached : tuple of mapping
+        Where the best starts ended, best first.
+    refined : tuple of str
+        Keys of the effects whose refining parameters were fitted too.
+    thorough : bool
+        Whether the fit was carried to its end; one that fell behind after a glance is not.
     seconds : float
     failure : str
         Why there is no fit; then the residuals are empty and the errors infinite.
@@ -77,6 +86,9 @@ class Candidate:
     at_bound: tuple[str, ...] = ()
     n_agreeing: int = 0
     n_starts: int = 0
+    reached: tuple[Mapping[str, float], ...] = ()
+    refined: tuple[str, ...] = ()
+    thorough: bool = True
     seconds: float = 0.0
     failure: str = ""
 
@@ -104,52 +116,59 @@ class Workbench:
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     _observations: dict[int, list[Observation]] = field(default_factory=dict, repr=False)
 
-    def problem(self, model: Model, part: Sequence[Ready], *, refined: bool = False) -> Problem:
+    def problem(
+        self, model: Model, part: Sequence[Ready], *, refined: Sequence[str] = ()
+    ) -> Problem:
         """Problem of fitting a model to a part of the evidence.
 
         Parameters
         ----------
         model : Model
         part : sequence of Ready
-        refined : bool
-            Whether the parameters that refine an effect are free too.
+        refined : sequence of str
+            Keys of the effects whose refining parameters are free too.
         """
         if id(part) not in self._observations:
             self._observations[id(part)] = self.evidence.observations(part)
         names = model.parameter_names
-        plain = {name: p.plain for name, p in model.parameters.items() if p.plain is not None}
+        plain = {
+            name: p.plain
+            for name, p in model.parameters.items()
+            if p.plain is not None and name.split(".")[0] not in refined
+        }
         prior = Prior.physical(model, **{n: b for n, b in self.bounds.items() if n in names})
         return Problem(
             model,
             self._observations[id(part)],
             prior,
-            fixed={} if refined else plain,
+            fixed=plain,
             substeps=None if model.linear else 1,
             order=2,
             room=self.evidence.room,
         )
 
     def residual(
-        self, model: Model, values: Mapping[str, float], part: Sequence[Ready], refined: bool
+        self,
+        model: Model,
+        values: Mapping[str, float],
+        part: Sequence[Ready],
+        refined: Sequence[str] = (),
     ) -> Residual:
         """What a model with given values leaves of a part of the evidence."""
         problem = self.problem(model, part, refined=refined)
         theta = model.vector(values)[list(problem.free)]
         white = problem.residuals(theta).reshape(self.evidence.room)
-        by_trial, errors, weighted, row = [], [], 0.0, 0
-        sds = self.evidence.weights_sd(part)
-        for ready, sd in zip(part, sds, strict=True):
-            pieces, collected = 0, []
-            while sum(c.size for c in collected) < ready.last - ready.first:
-                observation = problem.observations[row + pieces]
-                compared = observation.scale > 0
-                collected.append(white[row + pieces, : compared.size][compared])
-                pieces += 1
-            row += pieces
-            left = -sd * np.concatenate(collected)
-            by_trial.append(left)
-            errors.append(float(np.sum(left**2)) / ready.energy)
-            weighted += float(np.sum(left**2)) / sd**2
+        compared = [
+            row[: o.scale.size][o.scale > 0]
+            for row, o in zip(white, problem.observations, strict=False)
+        ]
+        owner = owners(problem.observations)
+        by_trial, errors, weighted = [], [], 0.0
+        for i, (ready, sd) in enumerate(zip(part, self.evidence.weights_sd(part), strict=True)):
+            left = np.concatenate([c for c, j in zip(compared, owner, strict=True) if i == j])
+            by_trial.append(-sd * left)
+            errors.append(float(sd**2 * left @ left) / ready.energy)
+            weighted += float(left @ left)
         return Residual(tuple(by_trial), np.array(errors), weighted)
 
     def fit(
@@ -157,17 +176,28 @@ class Workbench:
         model: Model,
         starts: Sequence[Mapping[str, float]],
         *,
-        refined: bool = False,
+        refined: Sequence[str] = (),
+        thorough: bool = True,
     ) -> Candidate:
-        """Fit a model; a failure is recorded in the result, not raised."""
+        """Fit a model; a failure is recorded in the result, not raised.
+
+        Parameters
+        ----------
+        model : Model
+        starts : sequence of mapping
+            Values of all parameters by name.
+        refined : sequence of str
+            Keys of the effects whose refining parameters are free too.
+        thorough : bool
+            Whether to carry the fit to its end or to take a glance from every start.
+        """
         began = time.perf_counter()
         try:
             problem = self.problem(model, self.evidence.fitted, refined=refined)
             points = np.array([model.vector(s)[list(problem.free)] for s in starts])
-            best = explore(problem, points)
-            values = dict(
-                zip(model.parameter_names, map(float, problem.complete(best.values)), strict=True)
-            )
+            best = explore(problem, points, evaluations=THOROUGH if thorough else GLANCE)
+            reached = _distinct(model, problem, best)
+            values = reached[0]
             fitted = self.residual(model, values, self.evidence.fitted, refined)
             held_out = NOTHING
             if self.evidence.held_out:
@@ -185,8 +215,32 @@ class Workbench:
             at_bounds(problem, best.values),
             best.n_agreeing,
             len(points),
+            tuple(reached),
+            tuple(refined),
+            thorough,
             time.perf_counter() - began,
         )
+
+    def finish(self, glanced: Candidate) -> Candidate:
+        """Carry a fit that was only glanced at to its end, from the best places it reached."""
+        if glanced.failure or glanced.thorough:
+            return glanced
+        return self.fit(glanced.model, glanced.reached, refined=glanced.refined)
+
+
+def _distinct(model: Model, problem: Problem, best: Fit) -> list[dict[str, float]]:
+    """The best places that were reached, those of one cost once."""
+    kept: list[int] = []
+    for i in np.argsort(best.costs, kind="stable"):
+        if np.isfinite(best.costs[i]) and all(
+            best.costs[i] - best.costs[j] > 1e-3 * best.costs[j] for j in kept
+        ):
+            kept.append(int(i))
+    names = model.parameter_names
+    near = [i for i in kept[:_KEPT] if best.costs[i] <= _NEAR * best.costs[kept[0]]]
+    return [
+        dict(zip(names, map(float, problem.complete(best.reached[i])), strict=True)) for i in near
+    ]
 
 
 def starting_values(
@@ -232,6 +286,11 @@ def starting_values(
                 start["K"] *= softened
                 start["B"] *= softened**2
     return starts
+
+
+def owners(observations: Sequence[Observation]) -> np.ndarray:
+    """Number of the trial that each observation is a piece of, shape (n_observations,)."""
+    return np.cumsum([not o.continues for o in observations]) - 1
 
 
 def effective_samples(residual: Residual) -> float:

@@ -32,6 +32,7 @@ Rates = Callable[[Array, int], Array]
 class _Carry(NamedTuple):
     state: Array
     history: Array
+    row: Array
     past: list[Motion]
 
 
@@ -147,13 +148,17 @@ def _torque_driven(
     def substep(carry: _Carry, inputs: tuple[Array, Array]) -> tuple[_Carry, None]:
         index, applied = inputs
         now = index * step
+        history = carry.history
+        if remembers:
+            # Written before it is read: the compiler then needs no copy of the whole history.
+            history = history.at[jnp.maximum(index - 1, 0)].set(carry.row)
 
         def recall(place: int) -> list[Motion]:
             time = now + 0.5 * place * step
             return [
                 still
                 if d is None
-                else _recall(carry.history, index, step, time - d, carry.state, place == 2)
+                else _recall(history, index, step, time - d, carry.state, place == 2)
                 for d in delays
             ]
 
@@ -169,11 +174,8 @@ def _torque_driven(
 
         first = rates_at(carry.state, 0)
         arrived, last = scheme.advance(rates_at, carry.state, first)
-        history = carry.history
-        if remembers:
-            row = jnp.stack([*carry.state[:2], first[1], *arrived[:2], last[1]])
-            history = history.at[index].set(row)
-        return _Carry(arrived, history, ends), None
+        row = jnp.stack([*carry.state[:2], first[1], *arrived[:2], last[1]])
+        return _Carry(arrived, history, row, ends), None
 
     def sample(carry: _Carry, inputs: tuple[Array, Array, Array]) -> tuple[_Carry, Array]:
         index, applied, impulse = inputs
@@ -185,7 +187,7 @@ def _torque_driven(
         indices = index * substeps + jnp.arange(substeps)
         return jax.lax.scan(substep, kicked, (indices, per_step))[0], kicked.state[0]
 
-    start = _Carry(origin, jnp.zeros((n_steps if remembers else 0, 6)), rest)
+    start = _Carry(origin, jnp.zeros((n_steps if remembers else 0, 6)), jnp.zeros(6), rest)
     inputs = (jnp.arange(torque.shape[0]), torque, impulses[:-1])
     carry, angles = jax.lax.scan(sample, start, inputs)
     return jnp.append(angles, carry.state[0])
@@ -199,9 +201,7 @@ def _recall(
     Where `time` is that of a jump, the end of a step sees the motion before it, other stages the
     motion after it.
     """
-    place = jax.lax.stop_gradient(time / step)
-    slot = jnp.ceil(place - 1e-6) - 1 if ends_step else jnp.floor(place + 1e-6)
-    slot = slot.astype(int)
+    slot = _slot(time / step, ends_step)
     known = jnp.clip(slot, 0, jnp.maximum(index - 1, 0))
     angle0, velocity0, acceleration0, angle1, velocity1, acceleration1 = history[known]
     s = time / step - known
@@ -219,6 +219,13 @@ def _recall(
         jnp.where(slot < 0, 0.0, jnp.where(within, present.angle, angle)),
         jnp.where(slot < 0, 0.0, jnp.where(within, present.velocity, velocity)),
     )
+
+
+def _slot(place: Array, ends_step: bool) -> Array:
+    """Number of the step that a place is in; at its start, of the step that ends there if asked."""
+    place = jax.lax.stop_gradient(place)
+    slot = jnp.ceil(place - 1e-6) - 1 if ends_step else jnp.floor(place + 1e-6)
+    return slot.astype(int)
 
 
 def _hermite(s: Array, step: Array, y0: Array, d0: Array, y1: Array, d1: Array) -> Array:
@@ -263,18 +270,20 @@ def _angle_driven(
     inertia = model.inertia(theta)
     n_intervals = fine.shape[0]
 
-    def motion_at(time: Array) -> Motion:
+    def motion_at(time: Array, ends_step: bool) -> Motion:
         """Imposed motion at any time: its quintic within the interval, rest before it."""
         interval = step * substeps
-        slot = jnp.clip(
-            jnp.floor(jax.lax.stop_gradient(time / interval)).astype(int), 0, n_intervals - 1
-        )
-        angle, velocity = _quintic(time / interval - slot, interval, fine[slot, 0], fine[slot, -1])
-        return Motion(jnp.where(time < 0, signals[0, 0], angle), jnp.where(time < 0, 0.0, velocity))
+        slot = _slot(time / interval, ends_step)
+        known = jnp.clip(slot, 0, n_intervals - 1)
+        ends = fine[known, 0], fine[known, -1]
+        angle, velocity = _quintic(time / interval - known, interval, *ends)
+        return Motion(jnp.where(slot < 0, signals[0, 0], angle), jnp.where(slot < 0, 0.0, velocity))
 
-    def react(time: Array, imposed: Array, internal: Array) -> tuple[Array, Array]:
+    def react(
+        time: Array, imposed: Array, internal: Array, ends_step: bool = False
+    ) -> tuple[Array, Array]:
         motion = Motion(imposed[0], imposed[1])
-        past = [motion if d is None else motion_at(time - d) for d in delays]
+        past = [motion if d is None else motion_at(time - d, ends_step) for d in delays]
         reaction = model.react(theta, motion, internal, past)
         return reaction.rates, reaction.torque
 
@@ -290,7 +299,7 @@ def _angle_driven(
         index, imposed = inputs
 
         def rates_at(state: Array, place: int) -> Array:
-            return react((index + 0.5 * place) * step, imposed[place], state)[0]
+            return react((index + 0.5 * place) * step, imposed[place], state, place == 2)[0]
 
         return scheme.advance(rates_at, internal, rates_at(internal, 0))[0], None
 
@@ -320,9 +329,19 @@ def _slopes(model: Model, theta: ArrayLike, held: Motion, internal: Array) -> Ar
 
 
 def _rest(model: Model, theta: ArrayLike, angle: Array) -> Array:
-    """Internal states in equilibrium at a held angle: one Newton step, exact for linear models."""
-    held, origin = Motion(angle, jnp.zeros(())), jnp.zeros(model.n_internal)
-    rates = model.react(theta, held, origin, [held] * len(model.effects)).rates
+    """Internal states in equilibrium at a held angle, by Newton's method from 0.
+
+    The last two steps are differentiated, so that first and second derivatives are those of the
+    equilibrium.
+    """
+    held, theta = Motion(angle, jnp.zeros(())), jnp.asarray(theta)
     # The tiny slope keeps at 0 a state that any value would leave at rest.
-    slopes = _slopes(model, theta, held, origin) - 1e-12 * jnp.eye(model.n_internal)
-    return -jnp.linalg.solve(slopes, rates)
+    tiny = 1e-12 * jnp.eye(model.n_internal)
+
+    def closer(theta: Array, states: Array) -> Array:
+        rates = model.react(theta, held, states, [held] * len(model.effects)).rates
+        return states - jnp.linalg.solve(_slopes(model, theta, held, states) - tiny, rates)
+
+    fixed = jax.lax.stop_gradient(theta)
+    near = jax.lax.fori_loop(0, 20, lambda _, x: closer(fixed, x), jnp.zeros(model.n_internal))
+    return closer(theta, closer(theta, jax.lax.stop_gradient(near)))

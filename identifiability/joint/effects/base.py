@@ -46,6 +46,8 @@ class Effect(ABC):
     affine_in_velocity : whether the torque is affine in the velocity (muscle effects)
     n_states : number of the effect's own states
     confused_with : keys of effects that look alike in short records
+    equivalent : keys of effects of the same form: no torque and angle tells them apart
+    refines : keys of effects of which it is a richer form
     references : where the equations come from
     """
 
@@ -57,6 +59,8 @@ class Effect(ABC):
     affine_in_velocity: ClassVar[bool] = True
     n_states: ClassVar[int] = 0
     confused_with: ClassVar[tuple[str, ...]] = ()
+    equivalent: ClassVar[tuple[str, ...]] = ()
+    refines: ClassVar[tuple[str, ...]] = ()
     references: ClassVar[tuple[str, ...]] = ()
 
     def torque(

@@ -27,6 +27,7 @@ class MaxwellBranch(Effect):
     linear = True
     n_states = 1
     confused_with = ("series_tendon", "activation_lag", "nonlinear_tendon")
+    equivalent = ("series_tendon",)
     parameters = (
         Parameter(
             "stiffness",

@@ -26,6 +26,7 @@ class NonlinearTendon(Effect):
     place = "series"
     linear = False
     confused_with = ("series_tendon", "hill_force_velocity", "maxwell_branch")
+    refines = ("series_tendon",)
     parameters = (
         Parameter(
             "stiffness",

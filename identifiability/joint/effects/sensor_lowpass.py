@@ -12,7 +12,7 @@ from jax.typing import ArrayLike
 from identifiability.joint.effects.base import Effect
 from identifiability.joint.parameters import Parameter
 
-_LEAST = 1e-6  # [s]; below, the filter does nothing at any sampling rate in use
+_LEAST = 1e-6  # [s]; below, nothing is left of a sample at the next, at any rate in use
 
 
 class SensorLowpass(Effect):
@@ -54,14 +54,15 @@ class SensorLowpass(Effect):
     def record(self, p: Sequence[Array], response: Array, interval: ArrayLike) -> Array:
         """Response as recorded; the filter has settled on the first sample."""
         for time_constant in p:
-            response = _filtered(response, interval / jnp.maximum(time_constant, _LEAST))
+            response = _filtered(response, time_constant, interval)
         return response
 
 
-def _filtered(signal: Array, ratio: ArrayLike) -> Array:
-    """One pole, exact for a signal that is linear between samples; `ratio` is interval over tau."""
+def _filtered(signal: Array, time_constant: Array, interval: ArrayLike) -> Array:
+    """One pole, exact for a signal that is linear between samples, also without the pole."""
+    ratio = interval / jnp.maximum(time_constant, _LEAST)
     kept = jnp.exp(-ratio)
-    mean = -jnp.expm1(-ratio) / ratio
+    mean = -jnp.expm1(-ratio) * time_constant / interval
 
     def advance(state: Array, ends: tuple[Array, Array]) -> tuple[Array, Array]:
         state = kept * state + (mean - kept) * ends[0] + (1 - mean) * ends[1]

@@ -27,6 +27,7 @@ class SeriesTendon(Effect):
     place = "series"
     linear = True
     confused_with = ("maxwell_branch", "nonlinear_tendon", "sensor_lowpass")
+    equivalent = ("maxwell_branch",)
     parameters = (
         Parameter(
             "stiffness",

@@ -1,0 +1,188 @@
+"""``identifiability investigate``: which physical effect a joint model misses."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from identifiability.cli.fit import add_file_options, parse_bounds, parse_lowpass, read_trials
+from identifiability.errors import InputError
+
+if TYPE_CHECKING:
+    from identifiability.investigation.investigate import Findings
+
+
+def add_parser(commands: Any) -> None:
+    """Add the subcommand."""
+    parser = commands.add_parser(
+        "investigate",
+        help="which physical effect a joint model misses in recorded trials",
+        description="Compare stiffness, damping and inertia with recorded trials, see where they "
+        "fail, learn which physical effect is missing, add it, and judge it on trials that were "
+        "not fitted. Or learn that nothing is missing, that two effects cannot be told apart, that "
+        "it is the sensor, or that it is none of the effects known.",
+    )
+    add_file_options(parser)
+    parser.add_argument(
+        "--hold-out",
+        action="append",
+        default=[],
+        type=Path,
+        metavar="FILE",
+        help="a trial that no model is fitted to (may be repeated; chosen by itself if none is)",
+    )
+    parser.add_argument(
+        "--lowpass",
+        default=None,
+        metavar="HZ",
+        help="zero-phase low-pass of both channels where the angle is imposed (50), or 'none'",
+    )
+    parser.add_argument(
+        "--bounds",
+        nargs="+",
+        default=[],
+        metavar="NAME=LOW:HIGH",
+        help="other bounds than the physical ones, for example I=1e-7:0.01",
+    )
+    parser.add_argument("--most", type=int, default=3, metavar="N", help="most effects to add (3)")
+    parser.add_argument(
+        "--limits",
+        nargs="+",
+        default=[],
+        metavar="WHAT=VALUE",
+        help="what the next experiment may do, for example torque=20 angle=0.3 duration=1",
+    )
+    parser.add_argument("--no-widths", action="store_true", help="skip the parameters' widths")
+    parser.add_argument("--seed", type=int, default=1, help="of starts and sampler (1)")
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for results")
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the subcommand."""
+    from identifiability.files import output_folder
+    from identifiability.inference.recordings import LOWPASS_HZ
+    from identifiability.investigation.investigate import investigate
+
+    if options.seed < 0:
+        raise InputError(f"found the seed {options.seed}, expected 0 or more")
+    if not 0 <= options.most <= 3:
+        raise InputError(f"found --most {options.most}, expected 0 to 3 effects")
+    lowpass = parse_lowpass(options.lowpass, LOWPASS_HZ)
+    bounds = parse_bounds(options.bounds)
+    files = _files(options.files)
+    held_files = _files(options.hold_out)
+    kept = [f for f in files if f.resolve() not in {h.resolve() for h in held_files}]
+    if not kept:
+        raise InputError("every file is held out; leave at least one to be fitted")
+    trials, held_out = read_trials(options, kept), read_trials(options, held_files)
+    limits = _limits(options.limits, [*trials, *held_out])
+    out = output_folder(options.out)
+    findings = investigate(
+        trials,
+        held_out,
+        bounds=bounds,
+        lowpass_hz=lowpass,
+        limits=limits,
+        most=options.most,
+        with_widths=not options.no_widths,
+        seed=options.seed,
+        progress=_clock(),
+    )
+    written = save(findings, out, command=_command())
+    print(summary(findings))
+    print(f"\nwritten: {out}/" + ", ".join(written))
+    return 0
+
+
+def save(findings: Findings, out: Path, *, command: str) -> list[str]:
+    """Write record, report and figures into a folder; returns the files' names."""
+    from identifiability.files import write_json
+    from identifiability.investigation.record import record
+    from identifiability.report.investigation import write_report
+
+    plain = record(findings, command=command)
+    write_json(out / "investigation.json", plain)
+    figures = write_report(findings, plain, out)
+    return ["investigation.json", "report.html", *figures]
+
+
+def summary(findings: Findings) -> str:
+    """What was found, as text."""
+    search, verdict = findings.search, findings.verdict
+    floor = findings.evidence.noise_floor()
+    lines = [verdict.sentence, ""]
+    rows = [("K, B, I" if not search.baseline.keys else "baseline", search.baseline)]
+    rows += [(f"+ {key.replace('_', ' ')}", candidate) for key, candidate in search.ladder]
+    lines.append(f"{'model':<34}{'E fitted':>12}{'E held out':>12}")
+    for name, candidate in rows:
+        lines.append(f"{name:<34}{candidate.fitted.error:>12.3g}{candidate.held_out.error:>12.3g}")
+    lines.append(f"{'noise floor':<34}" + (f"{floor:>12.3g}" if floor else f"{'unknown':>12}"))
+    lines += ["", *verdict.because]
+    if findings.next_experiment is not None:
+        lines += ["", f"Next experiment. {findings.next_experiment.sentence}"]
+    if findings.widths is not None:
+        lines.append("")
+        for row in findings.widths.rows:
+            low, high = row.posterior_95
+            lines.append(
+                f"{row.name} = {row.optimum:.4g} (95 %: {low:.4g} to {high:.4g}): {row.verdict}"
+            )
+    lines += [f"note: {warning}" for warning in findings.warnings]
+    return "\n".join(lines)
+
+
+def _files(paths: list[Path]) -> list[Path]:
+    """Files as named, folders replaced by the CSV files in them."""
+    found: list[Path] = []
+    for path in paths:
+        if not path.is_dir():
+            found.append(path)
+            continue
+        inside = sorted(path.glob("*.csv"))
+        if not inside:
+            raise InputError(f"found no CSV file in the folder {path}; name files, one a trial")
+        found += inside
+    return found
+
+
+def _limits(texts: list[str], trials: list[Any]) -> Any:
+    from identifiability.investigation.next_experiment import Limits
+
+    if not texts:
+        return None
+    limits = {
+        "torque": max(float(abs(t.torque).max()) for t in trials),
+        "angle": max(float(abs(t.angle).max()) for t in trials),
+        "duration": max(t.duration for t in trials),
+    }
+    for text in texts:
+        name, _, value = text.partition("=")
+        try:
+            number = float(value)
+        except ValueError:
+            number = float("nan")
+        if name not in limits or not number > 0:
+            raise InputError(
+                f"found --limits {text}, expected torque=NM, angle=RAD or duration=S above 0"
+            )
+        limits[name] = number
+    return Limits(**limits)
+
+
+def _clock() -> Callable[[str, int, int], None]:
+    began = time.monotonic()
+
+    def announce(what: str, done: int, total: int) -> None:
+        count = f" {done}/{total}" if total > 1 else ""
+        print(f"[{time.monotonic() - began:5.0f} s] {what}{count}", file=sys.stderr, flush=True)
+
+    return announce
+
+
+def _command() -> str:
+    return " ".join(["identifiability", *sys.argv[1:]])

@@ -1,0 +1,58 @@
+"""Which effects could stand in each other's place: alike by form, or alike on these data."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from identifiability.investigation.candidates import Candidate, effective_samples
+from identifiability.investigation.search import DECISIVE, Ranked
+from identifiability.joint.effects.base import Effect
+
+
+def equivalence_set(
+    key: str, final: Candidate, alternatives: Sequence[Ranked], library: Mapping[str, type[Effect]]
+) -> list[str]:
+    """Effects that explain the data as well as one of the final model's, that one included.
+
+    A rival belongs to the set unless the data speak decisively against it: its fit is worse by the
+    decisive difference, a larger model's penalty not counted against it (parsimony may rank, but
+    not exclude), or its prediction of the held-out trials is. Effects of the same form belong to it
+    always; a refinement of the effect (a tendon that also stiffens) is no rival.
+
+    Parameters
+    ----------
+    key : str
+        Effect of the final model.
+    final : Candidate
+    alternatives : sequence of Ranked
+        Final models with another effect in its place; evidence is against the final model.
+    library : mapping of str to type of Effect
+
+    Returns
+    -------
+    list of str
+        Best first.
+    """
+    samples = effective_samples(final.fitted)
+    held_samples = effective_samples(final.held_out) if final.held_out.by_trial else 0.0
+    members = []
+    for r in alternatives:
+        if r.candidate.failure or key in library[r.key].refines:
+            continue
+        extra = len(r.candidate.free) - len(final.free)
+        unpenalised = r.evidence + max(0, extra) * np.log(samples)
+        if unpenalised > -DECISIVE and held_samples * r.held_out_gain > -DECISIVE:
+            members.append(r.key)
+    alike = [k for k in library[key].equivalent if k in library and k not in members]
+    found = list(dict.fromkeys([key, *alike, *members]))
+    # A muscle has a tendon: of effects of one form the anatomical name comes first.
+    order = list(library)
+    first = min([key, *alike], key=order.index)
+    return [first, *(k for k in found if k != first)]
+
+
+def same_form(keys: Sequence[str], library: Mapping[str, type[Effect]]) -> bool:
+    """Whether all effects of a set are of one mathematical form."""
+    return all(k == keys[0] or k in library[keys[0]].equivalent for k in keys)

@@ -1,0 +1,306 @@
+"""The whole way from trials to a verdict, and each step of it for use by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from identifiability.errors import InputError
+from identifiability.inference.recordings import (
+    LOWPASS_HZ,
+    first_guess,
+    integrated_autocorrelation,
+)
+from identifiability.inference.problem import Prior, Problem
+from identifiability.inference.widths import Widths, widths
+from identifiability.investigation.candidates import Candidate, Workbench, owners
+from identifiability.investigation.compare import Comparison, compare
+from identifiability.investigation.evidence import Evidence, gather
+from identifiability.investigation.locate import Location, locate
+from identifiability.investigation.next_experiment import Limits, NextExperiment, next_experiment
+from identifiability.investigation.power import Detectable, detectable
+from identifiability.investigation.search import (
+    MOST_EFFECTS,
+    Search,
+    Searcher,
+    Step,
+    baseline,
+)
+from identifiability.investigation.unexplained import Unexplained, Variation, unexplained, variation
+from identifiability.investigation.verdict import Verdict, judge
+from identifiability.joint.effects import EFFECTS, Effect
+from identifiability.joint.model import KBI, Model
+from identifiability.measurement.noise import Noise
+from identifiability.measurement.trials import Trial
+
+Progress = Callable[[str, int, int], None]
+
+
+def _silent(what: str, done: int, total: int) -> None:
+    """Report nothing."""
+
+
+@dataclass(frozen=True, eq=False)
+class Findings:
+    """What an investigation found.
+
+    Attributes
+    ----------
+    evidence : Evidence
+    search : Search
+    comparison, location : Comparison, Location
+        Of the baseline model.
+    unexplained_before, unexplained_after : Unexplained
+        Library-free account of what the baseline and the final model leave.
+    variation : Variation or None
+    widths : Widths or None
+        Of the final model's parameters; ``None`` where they were not asked for, or failed.
+    verdict : Verdict
+    next_experiment : NextExperiment or None
+    warnings : tuple of str
+        What could not be done, and why.
+    seed : int
+    """
+
+    evidence: Evidence
+    search: Search
+    comparison: Comparison | None
+    location: Location | None
+    unexplained_before: Unexplained | None
+    unexplained_after: Unexplained
+    variation: Variation | None
+    widths: Widths | None
+    verdict: Verdict
+    next_experiment: NextExperiment | None
+    warnings: tuple[str, ...]
+    seed: int
+
+
+class Investigation:
+    """Trials of a perturbed joint, and what can be asked of them.
+
+    Parameters
+    ----------
+    trials : sequence of Trial
+        All driven alike.
+    held_out : sequence of Trial
+        Trials, best of other conditions, that no model is fitted to; chosen by itself if empty.
+    library : mapping of str to type of Effect, optional
+        Effects that may be missing; the registry's by default. Add your own:
+        ``EFFECTS | {MyEffect.key: MyEffect}``.
+    bounds : mapping of str to (float, float)
+        Other bounds than the physical ones, by parameter name.
+    lowpass_hz : float or None
+        Zero-phase low-pass [Hz] of both channels where the angle is imposed.
+    progress : callable
+        Told ``(what, done, total)``.
+
+    Examples
+    --------
+    >>> study = Investigation(trials)                    # doctest: +SKIP
+    >>> kbi = study.fit(KBI())                           # doctest: +SKIP
+    >>> study.locate(kbi).sentences                      # doctest: +SKIP
+    >>> study.rank(kbi).chosen                           # doctest: +SKIP
+    'stretch_reflex'
+    >>> better = study.fit(KBI() + StretchReflex())      # doctest: +SKIP
+    """
+
+    def __init__(
+        self,
+        trials: Sequence[Trial],
+        held_out: Sequence[Trial] = (),
+        *,
+        library: Mapping[str, type[Effect]] | None = None,
+        bounds: Mapping[str, tuple[float, float]] | None = None,
+        lowpass_hz: float | None = LOWPASS_HZ,
+        progress: Progress = _silent,
+    ) -> None:
+        self.evidence: Evidence = gather(trials, held_out, lowpass_hz=lowpass_hz)
+        self.library = dict(EFFECTS if library is None else library)
+        self.bench = Workbench(self.evidence, dict(bounds or {}))
+        self._searcher = Searcher(self.bench, self.library, progress)
+
+    def fit(self, model: Model, *, refined: bool = False) -> Candidate:
+        """Fit a model to the trials that are not held out.
+
+        Parameters
+        ----------
+        model : Model
+        refined : bool
+            Whether parameters that refine an effect are free too.
+        """
+        kinds = {"K": self.bench.bounds.get("K"), "B": None, "I": self.bench.bounds.get("I")}
+        prior = Prior.physical(KBI(), **{k: b for k, b in kinds.items() if b is not None})
+        guess = first_guess([r.trial for r in self.evidence.fitted], prior)
+        start = dict(zip(("K", "B", "I"), map(float, guess), strict=True))
+        found = baseline(self.bench, model, start, refined=model.effect_keys if refined else ())
+        if found.failure:
+            raise InputError(f"{model!r} could not be fitted: {found.failure}")
+        return found
+
+    def compare(self, candidate: Candidate) -> Comparison:
+        """How well a model fits, and whether its K, B and I are constants."""
+        return compare(self.bench, candidate)
+
+    def locate(self, candidate: Candidate) -> Location:
+        """Where a model fails: in time, frequency, state, amplitude, direction, trial."""
+        return locate(self.bench, candidate)
+
+    def unexplained(self, candidate: Candidate, *, seed: int = 1) -> Unexplained:
+        """What a model leaves, as a torque of which nothing is assumed but its family."""
+        return unexplained(self.bench, candidate, seed=seed)
+
+    def rank(self, candidate: Candidate) -> Step:
+        """Add every effect of the library to a model, refit, and rank."""
+        return self._searcher.rank(candidate)
+
+    def search(self, candidate: Candidate, *, most: int = MOST_EFFECTS) -> Search:
+        """Add, drop and swap effects for as long as the evidence is decisive."""
+        return self._searcher.run(candidate, most)
+
+    def widths(self, candidate: Candidate, *, seed: int = 1) -> Widths:
+        """Every width of a fitted model's parameters, as of K, B and I.
+
+        The noise is the residual's, with its variance times its autocorrelation time.
+        """
+        problem = self.bench.problem(
+            candidate.model, self.evidence.fitted, refined=candidate.refined
+        )
+        noises = [
+            float(np.sqrt(np.mean(left**2) * integrated_autocorrelation(left)))
+            for left in candidate.fitted.by_trial
+        ]
+        sharpened = self.evidence.weights_sd(self.evidence.fitted) / np.maximum(noises, 1e-300)
+        observations = [
+            replace(o, scale=o.scale * sharpened[i])
+            for o, i in zip(problem.observations, owners(problem.observations), strict=True)
+        ]
+        sharper = Problem(
+            problem.model,
+            observations,
+            problem.prior,
+            fixed=problem.fixed,
+            substeps=problem.substeps,
+            order=problem.order,
+            room=problem.room,
+        )
+        start = candidate.model.vector(candidate.values)[list(problem.free)]
+        return widths(sharper, starts=start[None], seed=seed, referee=False)
+
+    def smallest_seen(self, candidate: Candidate) -> tuple[Detectable, ...]:
+        """Smallest effects that would have been seen beside a fitted model."""
+        return detectable(self.bench, candidate, self.library)
+
+    def next_experiment(
+        self,
+        search: Search,
+        verdict: Verdict,
+        *,
+        limits: Limits | None = None,
+        seed: int = 1,
+    ) -> NextExperiment | None:
+        """Perturbation that would tell apart what these data cannot; ``None`` if nothing is open."""
+        for chosen, members in zip(search.alternatives, verdict.equivalence_sets, strict=False):
+            for ranked in search.alternatives[chosen]:
+                if ranked.key in members and ranked.key not in self.library[chosen].equivalent:
+                    pair = (chosen, ranked.key)
+                    return next_experiment(
+                        self.bench, search.final, ranked.candidate, pair, limits=limits, seed=seed
+                    )
+        return None
+
+
+def investigate(
+    trials: Sequence[Trial],
+    held_out: Sequence[Trial] = (),
+    *,
+    model: Model | None = None,
+    library: Mapping[str, type[Effect]] | None = None,
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    lowpass_hz: float | None = LOWPASS_HZ,
+    limits: Limits | None = None,
+    most: int = MOST_EFFECTS,
+    with_widths: bool = True,
+    seed: int = 1,
+    progress: Progress = _silent,
+) -> Findings:
+    """Find out what a joint model misses in recorded trials.
+
+    Parameters
+    ----------
+    trials, held_out, library, bounds, lowpass_hz, progress
+        See `Investigation`.
+    model : Model, optional
+        The model to start from; ``KBI()`` by default.
+    limits : Limits, optional
+        Of the next experiment; those that the trials kept by default.
+    most : int
+        Most effects to add.
+    with_widths : bool
+        Whether to compute the widths of the final model's parameters.
+    seed : int
+
+    Returns
+    -------
+    Findings
+
+    Raises
+    ------
+    InputError
+        Where the trials cannot be investigated.
+    """
+    study = Investigation(
+        trials, held_out, library=library, bounds=bounds, lowpass_hz=lowpass_hz, progress=progress
+    )
+    warnings: list[str] = []
+
+    def attempt(what: str, work: Callable[[], object]) -> object | None:
+        # One part that fails must not take the others with it; the report says that it failed.
+        try:
+            return work()
+        except (InputError, ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
+            warnings.append(f"{what}: {error}")
+            return None
+
+    progress("fitting the baseline", 0, 1)
+    first = study.fit(KBI() if model is None else model)
+    progress("comparing", 0, 1)
+    comparison = attempt("comparison", lambda: study.compare(first))
+    location = attempt("location", lambda: study.locate(first))
+    before = attempt("unexplained torque", lambda: study.unexplained(first, seed=seed))
+    search = study.search(first, most=most)
+    progress("what is left", 0, 1)
+    after = before
+    if search.final is not first or before is None:
+        after = study.unexplained(search.final, seed=seed)
+    spread = attempt("variation", lambda: variation(study.bench, search.final))
+    seen: tuple[Detectable, ...] = ()
+    if not search.final.keys or search.final is first:
+        progress("the smallest effects that would have been seen", 0, 1)
+        seen = attempt("power", lambda: study.smallest_seen(search.final)) or ()
+    verdict = judge(study.evidence, search, after, spread, seen, study.library)
+    progress("the next experiment", 0, 1)
+    following = attempt(
+        "next experiment",
+        lambda: study.next_experiment(search, verdict, limits=limits, seed=seed),
+    )
+    found = None
+    if with_widths:
+        progress("widths of the parameters", 0, 1)
+        found = attempt("widths", lambda: study.widths(search.final, seed=seed))
+    return Findings(
+        study.evidence,
+        search,
+        comparison,
+        location,
+        before,
+        after,
+        spread,
+        found,
+        verdict,
+        following,
+        tuple(warnings),
+        seed,
+    )

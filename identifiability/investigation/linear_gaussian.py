@@ -1,0 +1,216 @@
+"""Evidence of linear Gaussian models of several trials, from inner products alone.
+
+A trial's residual is ``r = A u + D c + e``: local weights u that belong to this trial, common
+weights c that all trials share, both Gaussian around 0, and noise e, first-order autoregressive.
+All that the evidence needs are inner products of the columns of A, D and r under the inverse of
+the noise's covariance, which is tridiagonal: three matrices a trial serve every standard deviation
+and every correlation of the noise. Weights are then eliminated one set after the other (Schur
+complements), so nothing larger than the number of weights of one trial is ever factorised. It is
+Gaussian-process regression in its weight-space view (Rasmussen & Williams 2006, section 2.1).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from scipy.linalg import cho_solve, cholesky, solve_triangular
+
+_JITTER = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Columns:
+    """Inner products of one trial's columns, for any noise.
+
+    Attributes
+    ----------
+    n_samples, n_local : int
+    whole, lagged, inner : array, shape (m, m)
+        Of all samples, of samples and their successors, of all but the first and last; the m
+        columns are those of the local weights, of the common weights, and the residual.
+    """
+
+    n_samples: int
+    n_local: int
+    whole: np.ndarray
+    lagged: np.ndarray
+    inner: np.ndarray
+
+    @classmethod
+    def of(cls, local: np.ndarray, common: np.ndarray, residual: np.ndarray) -> Columns:
+        """Inner products of columns, shapes (n, n_local), (n, n_common) and (n,)."""
+        z = np.column_stack([local, common, residual])
+        lagged = z[1:].T @ z[:-1]
+        inside = z[1:-1]
+        return cls(len(z), local.shape[1], z.T @ z, lagged + lagged.T, inside.T @ inside)
+
+    def under(self, noise: Noise, trial: int) -> np.ndarray:
+        """Inner products under the inverse of the noise's covariance, shape (m, m)."""
+        rho = noise.rho
+        scale = noise.sds[trial] ** 2 * (1 - rho**2)
+        return (self.whole - rho * self.lagged + rho**2 * self.inner) / scale
+
+
+@dataclass(frozen=True, eq=False)
+class Noise:
+    """Noise of all trials.
+
+    Attributes
+    ----------
+    sds : array, shape (n_trials,)
+        Standard deviations.
+    rho : float
+        Correlation from one sample to the next.
+    """
+
+    sds: np.ndarray
+    rho: float
+
+    def log_determinant(self, trial: int, n_samples: int) -> float:
+        """Logarithm of the determinant of a trial's covariance."""
+        return float(
+            2 * n_samples * np.log(self.sds[trial]) + (n_samples - 1) * np.log1p(-(self.rho**2))
+        )
+
+
+def eliminate(products: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, float]:
+    """Integrate the first weights out.
+
+    Parameters
+    ----------
+    products : array, shape (m, m)
+        Inner products of the columns, those of the weights to be eliminated first.
+    covariance : array, shape (k, k)
+        Prior covariance of these weights.
+
+    Returns
+    -------
+    array, shape (m - k, m - k)
+        Inner products of the other columns under the covariance that now has these weights' share.
+    float
+        Logarithm of the ratio of the determinants of that covariance and the one before.
+    """
+    k = len(covariance)
+    if k == 0:
+        return products, 0.0
+    root = _root(covariance)
+    core = root.T @ products[:k, :k] @ root
+    core.flat[:: k + 1] += 1.0
+    lower = cholesky(core, lower=True, check_finite=False)
+    across = solve_triangular(lower, root.T @ products[:k, k:], lower=True, check_finite=False)
+    return products[k:, k:] - across.T @ across, 2 * float(np.sum(np.log(np.diag(lower))))
+
+
+def _root(covariance: np.ndarray) -> np.ndarray:
+    jittered = covariance.copy()
+    jittered.flat[:: len(covariance) + 1] *= 1 + _JITTER
+    return np.asarray(cholesky(jittered, lower=True, check_finite=False))
+
+
+def log_evidence(
+    trials: Sequence[Columns], noise: Noise, local: Sequence[np.ndarray], common: np.ndarray
+) -> float:
+    """Log probability density of the residuals of all trials.
+
+    Parameters
+    ----------
+    trials : sequence of Columns
+    noise : Noise
+    local : sequence of array, shape (n_local, n_local)
+        Prior covariance of each trial's local weights.
+    common : array, shape (n_common, n_common)
+        Prior covariance of the common weights.
+    """
+    total, summed = 0.0, np.zeros((len(common) + 1,) * 2)
+    for i, (columns, covariance) in enumerate(zip(trials, local, strict=True)):
+        left, change = eliminate(columns.under(noise, i), covariance)
+        summed += left
+        total += change + noise.log_determinant(i, columns.n_samples)
+        total += columns.n_samples * np.log(2 * np.pi)
+    left, change = eliminate(summed, common)
+    return -0.5 * (total + change + float(left[0, 0]))
+
+
+@dataclass(frozen=True, eq=False)
+class Weights:
+    """Posterior of one set of weights: mean, shape (k,), and covariance, shape (k, k)."""
+
+    mean: np.ndarray
+    covariance: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """Posterior of all weights under given noise and prior covariances; see `log_evidence`."""
+
+    trials: Sequence[Columns]
+    noise: Noise
+    local_prior: Sequence[np.ndarray]
+    common_prior: np.ndarray
+
+    @cached_property
+    def _solved(self) -> tuple[list[tuple[np.ndarray, np.ndarray, np.ndarray]], Weights]:
+        parts, summed = [], np.zeros((len(self.common_prior) + 1,) * 2)
+        for i, (columns, prior) in enumerate(zip(self.trials, self.local_prior, strict=True)):
+            products = columns.under(self.noise, i)
+            k = len(prior)
+            covariance = _posterior_covariance(products[:k, :k], prior)
+            gains = covariance @ products[:k, k:]
+            parts.append((covariance, gains, products))
+            summed += products[k:, k:] - products[k:, :k] @ gains
+        covariance = _posterior_covariance(summed[:-1, :-1], self.common_prior)
+        return parts, Weights(covariance @ summed[:-1, -1], covariance)
+
+    @property
+    def common(self) -> Weights:
+        """Of the common weights."""
+        return self._solved[1]
+
+    @cached_property
+    def local(self) -> list[Weights]:
+        """Of each trial's local weights, the uncertainty of the common ones included."""
+        parts, common = self._solved
+        out = []
+        for covariance, gains, _ in parts:
+            mean = gains[:, -1] - gains[:, :-1] @ common.mean
+            spread = covariance + gains[:, :-1] @ common.covariance @ gains[:, :-1].T
+            out.append(Weights(mean, spread))
+        return out
+
+    def energies(self) -> np.ndarray:
+        """What the means leave, as squared residuals in units of the noise; shape (n_trials,)."""
+        return np.array([d @ h @ d for h, d in self._differences()])
+
+    def expected_energies(self) -> np.ndarray:
+        """Posterior expectation of the noise's own squares, in units of the noise; (n_trials,)."""
+        parts, common = self._solved
+        out = []
+        for (h, d), (covariance, gains, _) in zip(self._differences(), parts, strict=True):
+            k = len(covariance)
+            # Spread of (local, common): the common ones move the local ones through their gains.
+            moved = np.vstack([-gains[:, :-1], np.eye(len(common.mean))])
+            spread = moved @ common.covariance @ moved.T
+            spread[:k, :k] += covariance
+            out.append(d @ h @ d + np.sum(spread * h[:-1, :-1]))
+        return np.array(out)
+
+    def _differences(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        parts, common = self._solved
+        return [
+            (products, np.concatenate([-local.mean, -common.mean, [1.0]]))
+            for (_, _, products), local in zip(parts, self.local, strict=True)
+        ]
+
+
+def _posterior_covariance(products: np.ndarray, prior: np.ndarray) -> np.ndarray:
+    k = len(prior)
+    if k == 0:
+        return np.zeros((0, 0))
+    root = _root(prior)
+    core = root.T @ products @ root
+    core.flat[:: k + 1] += 1.0
+    factor = cholesky(core, lower=True, check_finite=False)
+    return np.asarray(root @ cho_solve((factor, True), root.T, check_finite=False))

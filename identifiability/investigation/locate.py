@@ -1,0 +1,905 @@
+"""Where a model fails: when, at which frequencies, in which states, directions, sizes and trials.
+
+Every view tests the residual, in units of the noise before the perturbation, with its false
+discovery rate controlled (Benjamini & Hochberg 1995, J R Stat Soc B 57: 289-300), and says in one
+sentence what it found. Where the noise is unknown the residual is judged by its own level, and only
+its structure can be seen.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import signal, stats
+
+from identifiability.investigation.candidates import Candidate, Workbench
+from identifiability.investigation.compare import probability
+from identifiability.investigation.evidence import Ready
+from identifiability.investigation.imposed import Imposed, imposed
+from identifiability.investigation.refits import Refits, correlation_time, without_levels
+from identifiability.investigation.whitening import Blocks, Portion, Whitening, excess, whitening
+
+_WIDTHS, _MOST_BINS = (0.01, 0.02), 60  # of the bins in time [s], and their number
+_LATENCY_BIN, _LONGEST_LATENCY = 0.01, 0.4  # seconds in which an onset of the misfit is looked for
+_LONGEST_SEGMENT, _FEWEST_SEGMENTS = 1.0, 3  # of the spectra [s]; for a coherence
+_CELLS, _REACH = 5, 0.98  # along angle and velocity; quantile of either that they span
+_UNKNOWN = 1e3  # size of an offset that is unknown altogether, in units of the noise
+_FEWEST_BLOCKS = 4  # in a cell
+_OPPOSITE, _OTHER_SIZE = 0.05, 1.2  # how close to -1, and how far from 1, the ratio of sizes is
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """What every view has.
+
+    Attributes
+    ----------
+    significant : bool
+    sentence : str
+        What was found, or why the view is not possible.
+    """
+
+    significant: bool
+    sentence: str
+
+
+@dataclass(frozen=True, eq=False)
+class TimeView(View):
+    """Residual against the time since the perturbation.
+
+    Attributes
+    ----------
+    edges : array, shape (n + 1,)
+        Of the bins [s].
+    ratio : array, shape (n,)
+        Mean square of the residual over that of the noise, both averaged over 5 ms.
+    p_values, flags : array, shape (n,)
+        Of each bin, and whether it is significant.
+    latency : float or None
+        Time [s] up to which K, B and I can be fitted to the response such that no misfit is left:
+        two bins in a row after it cannot be joined.
+    """
+
+    edges: np.ndarray
+    ratio: np.ndarray
+    p_values: np.ndarray
+    flags: np.ndarray
+    latency: float | None
+
+
+@dataclass(frozen=True, eq=False)
+class FrequencyView(View):
+    """Residual against frequency.
+
+    Attributes
+    ----------
+    edges : array, shape (n + 1,)
+        Of the bands [Hz].
+    ratio : array, shape (n,)
+        Power of the residual over that of the noise.
+    p_values, flags : array, shape (n,)
+        Of each band's power, and whether it is significant; nothing is where the noise is unknown.
+    coherence : array, shape (n,)
+        Squared coherence of the residual with the imposed signal; nan where it is not known.
+    coherent : array, shape (n,)
+        Whether it is significant.
+    """
+
+    edges: np.ndarray
+    ratio: np.ndarray
+    p_values: np.ndarray
+    flags: np.ndarray
+    coherence: np.ndarray
+    coherent: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class StateView(View):
+    """Unexplained torque against angle and velocity.
+
+    Attributes
+    ----------
+    angle_edges, velocity_edges : array, shape (n + 1,)
+        Of the cells [rad, rad/s].
+    torque, errors : array, shape (n, n)
+        Torque [Nm] that resists the motion beyond what the model says, and its standard error, by
+        angle and velocity, but for what K, B and I could take up; nan in cells not visited.
+    flags : array, shape (n, n)
+        Which are significant.
+    share : float
+        Share of the misfit, beyond the noise, that such a torque explains.
+    p_value : float
+    """
+
+    angle_edges: np.ndarray
+    velocity_edges: np.ndarray
+    torque: np.ndarray
+    errors: np.ndarray
+    flags: np.ndarray
+    share: float
+    p_value: float
+
+
+@dataclass(frozen=True, eq=False)
+class DirectionView(View):
+    """Parts of the residual that keep and that turn their sign with the perturbation.
+
+    Attributes
+    ----------
+    pairs : tuple of (str, str)
+        Trials of one perturbation and its opposite.
+    edges : array, shape (n + 1,)
+        Of the bins in time [s].
+    even, odd : array, shape (n,)
+        Mean square over that of the noise.
+    p_even, p_odd : float
+    even_significant, odd_significant : bool
+    """
+
+    pairs: tuple[tuple[str, str], ...]
+    edges: np.ndarray
+    even: np.ndarray
+    odd: np.ndarray
+    p_even: float
+    p_odd: float
+    even_significant: bool
+    odd_significant: bool
+
+
+@dataclass(frozen=True, eq=False)
+class AmplitudeView(View):
+    """The part of the residual that does not scale with the perturbation.
+
+    Attributes
+    ----------
+    pairs : tuple of (str, str)
+        The smaller and the larger of two perturbations of one waveform.
+    gains : tuple of float
+        Ratio of their sizes.
+    edges : array, shape (n + 1,)
+        Of the bins in time [s].
+    ratio : array, shape (n,)
+        Mean square of larger less scaled smaller residual, over that of the noise.
+    p_value : float
+    """
+
+    pairs: tuple[tuple[str, str], ...]
+    gains: tuple[float, ...]
+    edges: np.ndarray
+    ratio: np.ndarray
+    p_value: float
+
+
+@dataclass(frozen=True, eq=False)
+class TrialView(View):
+    """Error of each trial, or condition, against the noise; or against the others, if unknown.
+
+    Attributes
+    ----------
+    names : tuple of str
+    errors : array, shape (n,)
+        E (Eq. 3).
+    pooled : float
+        E over all.
+    ratio : array, shape (n,)
+        Mean square of the residual over that of the noise, or over the others'.
+    p_values, flags : array, shape (n,)
+    """
+
+    names: tuple[str, ...]
+    errors: np.ndarray
+    pooled: float
+    ratio: np.ndarray
+    p_values: np.ndarray
+    flags: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Location:
+    """Where a model fails.
+
+    Attributes
+    ----------
+    time, frequency, state, direction, amplitude, trials, conditions : View
+    noise_known : bool
+        Whether the noise was read from quiet samples before the perturbations.
+    driven : {"torque", "angle"}
+        What was imposed.
+    level : float
+        False discovery rate within each view.
+    """
+
+    time: TimeView
+    frequency: FrequencyView
+    state: StateView
+    direction: DirectionView
+    amplitude: AmplitudeView
+    trials: TrialView
+    conditions: TrialView
+    noise_known: bool
+    driven: str
+    level: float
+
+    @property
+    def views(self) -> dict[str, View]:
+        """All views by name."""
+        names = ("time", "frequency", "state", "direction", "amplitude", "trials", "conditions")
+        return {name: getattr(self, name) for name in names}
+
+    @property
+    def sentences(self) -> tuple[str, ...]:
+        """One sentence a view."""
+        return tuple(view.sentence for view in self.views.values())
+
+
+@dataclass(frozen=True, eq=False)
+class _Scene:
+    """What all views look at."""
+
+    parts: tuple[Ready, ...]
+    loads: tuple[Imposed, ...]
+    candidate: Candidate
+    refits: Refits
+    noise: Whitening
+    blocks: tuple[Blocks, ...]
+    level: float
+
+    @property
+    def slack(self) -> float:
+        """Relative variance of the noise's power in blocks, from the errors of its spectrum."""
+        return max(self.noise.block_slack(b.index.shape[1]) for b in self.blocks)
+
+    @property
+    def slow_slack(self) -> float:
+        """The same at the lowest frequencies."""
+        return self.noise.slack(np.zeros(1))
+
+    @property
+    def reference(self) -> str:
+        """What the residual is judged by."""
+        return "the noise" if self.noise.known else "its typical level (the noise is unknown)"
+
+    def significant(self, p_values: np.ndarray) -> np.ndarray:
+        """Which of several tests are, at the false discovery rate."""
+        if not p_values.size:
+            return np.zeros(0, bool)
+        return np.asarray(stats.false_discovery_control(p_values) <= self.level)
+
+
+def _observed(scene: _Scene) -> list[tuple[Ready, Blocks]]:
+    return list(zip(scene.parts, scene.blocks, strict=True))
+
+
+def locate(bench: Workbench, candidate: Candidate, level: float = 0.05) -> Location:
+    """Find where a fitted model fails.
+
+    Parameters
+    ----------
+    bench : Workbench
+    candidate : Candidate
+        One of its fits.
+    level : float
+        False discovery rate within each view.
+
+    Returns
+    -------
+    Location
+    """
+    parts = bench.evidence.fitted
+    noise = whitening(parts, candidate.fitted)
+    blocks = tuple(
+        noise.blocks(i, ready, left)
+        for i, (ready, left) in enumerate(zip(parts, candidate.fitted.by_trial, strict=True))
+    )
+    scene = _Scene(parts, imposed(parts), candidate, Refits(bench, candidate), noise, blocks, level)
+    trials = [(ready.name, [i]) for i, ready in enumerate(parts)]
+    names = dict.fromkeys(load.condition for load in scene.loads)
+    conditions = [
+        (name, [i for i, load in enumerate(scene.loads) if load.condition == name])
+        for name in names
+    ]
+    return Location(
+        _in_time(scene),
+        _in_frequency(scene),
+        _in_state(scene),
+        _by_direction(scene),
+        _by_amplitude(scene),
+        _by_trial(scene, trials, "trial", "trials"),
+        _by_trial(scene, conditions, "kind of perturbation", "kinds of perturbation"),
+        noise.known,
+        bench.evidence.driven,
+        level,
+    )
+
+
+# Time
+
+
+def _edges(scene: _Scene, trials: Iterable[int]) -> np.ndarray:
+    """Edges of bins in time since the perturbation [s]."""
+    observed = [_observed(scene)[i] for i in trials]
+    finest = max(ready.drive.interval * blocks.index.shape[1] for ready, blocks in observed)
+    longest = max(float(blocks.time.max(initial=0.0)) for _, blocks in observed) + finest
+    fitting = [w for w in _WIDTHS if w >= finest * (1 - 1e-9) and longest / w <= _MOST_BINS]
+    width = fitting[0] if fitting else max(longest / _MOST_BINS, finest)
+    return np.arange(np.ceil(longest / width - 1e-6) + 1) * width
+
+
+def _bin(time: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    """Number of the bin of each time."""
+    inside = np.searchsorted(edges, time + 1e-9 * edges[-1], side="right") - 1
+    return np.minimum(inside, edges.size - 2)
+
+
+def _in_time(scene: _Scene) -> TimeView:
+    edges = _edges(scene, range(len(scene.parts)))
+    bins = [_bin(b.time, edges) for b in scene.blocks]
+    n = edges.size - 1
+    ratio, p_values = np.ones(n), np.ones(n)
+    for k in range(n):
+        portions, total = _share(scene, bins, k)
+        ratio[k], p_values[k] = excess(total, portions, scene.slack)
+    flags = scene.significant(p_values)
+    latency = _latency(scene) if flags.any() else None
+    if not flags.any():
+        sentence = (
+            f"At no time after the perturbation does the residual exceed {scene.reference} "
+            f"({n} bins, least {probability(float(p_values.min()))})."
+        )
+        return TimeView(False, sentence, edges, ratio, p_values, flags, None)
+    worst = int(np.argmax(np.where(flags, ratio, 0.0)))
+    sentence = (
+        f"The residual exceeds {scene.reference} in {flags.sum()} of {n} bins of time, most from "
+        f"{1000 * edges[worst]:.0f} to {1000 * edges[worst + 1]:.0f} ms after the perturbation "
+        f"({np.sqrt(ratio[worst]):.2g} times in size)"
+    )
+    if latency is not None:
+        first = f"for the first {1000 * latency:.0f} ms, no longer"
+        sentence += f"; K, B and I can account {first if latency else 'not even for its beginning'}"
+    return TimeView(True, sentence + ".", edges, ratio, p_values, flags, latency)
+
+
+def _share(scene: _Scene, bins: Sequence[np.ndarray], k: int) -> tuple[list[Portion], float]:
+    """Portions of all trials in a bin, and their sum of squares."""
+    portions, total = [], 0.0
+    for i, (blocks, inside) in enumerate(zip(scene.blocks, bins, strict=True)):
+        chosen = inside == k
+        if chosen.any():
+            portions.append(scene.noise.portion(i, blocks, chosen))
+            total += float(np.sum(blocks.values[chosen] ** 2))
+    return portions, total
+
+
+def _latency(scene: _Scene) -> float | None:
+    """Time from which the response cannot be joined to what came before.
+
+    K, B and I are fitted to a window that grows bin by bin. What each bin adds to the least sum of
+    squares is independent of the others and chi-square distributed, as the recursive residuals of
+    Brown, Durbin & Evans (1975, J R Stat Soc B 37: 149-192) are. Two such bins in a row at a
+    probability of sqrt(level / n) each keep the probability of any false onset below the level.
+    """
+    finest = max(r.drive.interval * b.index.shape[1] for r, b in _observed(scene))
+    edges = np.arange(0.0, _LONGEST_LATENCY, max(_LATENCY_BIN, finest))
+    edges = edges[edges < max(b.time.max(initial=0.0) for b in scene.blocks)]
+    n = edges.size
+    bins = [np.searchsorted(edges, b.time + 1e-9, side="right") - 1 for b in scene.blocks]
+    threshold = np.sqrt(scene.level / max(n, 1))
+    cost, values, failed = 0.0, scene.refits.values, False
+    for k in range(n):
+        portions, _ = _share(scene, bins, k)
+        if not portions:
+            return None
+
+        def take(trial: int, columns: np.ndarray, last: int = k) -> np.ndarray:
+            blocks, chosen = scene.blocks[trial], bins[trial] <= last
+            rows = scene.noise.averaged(trial, columns, blocks.index[chosen])
+            if not scene.parts[trial].has_offset:
+                return rows
+            level = np.full((len(columns), 1), _UNKNOWN * scene.noise.sds[trial])
+            ones = scene.noise.averaged(trial, level, blocks.index[chosen])
+            return without_levels(rows, ones[:, 0], blocks.event[chosen])
+
+        found = scene.refits.fit(take, values)
+        _, p_value = excess(max(found.cost - cost, 0.0), portions, scene.slow_slack)
+        if p_value < threshold and failed:
+            return float(edges[k - 1])
+        failed = p_value < threshold
+        cost, values = found.cost, found.values
+    return None
+
+
+# Frequency
+
+
+def _in_frequency(scene: _Scene) -> FrequencyView:
+    residuals, inputs, owners, duration = _segments(scene)
+    if not owners:
+        none = np.zeros(0)
+        flags = np.zeros(0, bool)
+        reason = "The trials are too short for a spectrum."
+        return FrequencyView(False, reason, none, none, none, flags, none, flags)
+    highest = min(len(r) for r in residuals)
+    edges = _octaves(highest - 1)
+    power = np.array([np.abs(r[:highest]) ** 2 for r in residuals])
+    cross = np.array(
+        [r[:highest] * np.conj(u[:highest]) for r, u in zip(residuals, inputs, strict=True)]
+    )
+    drive = np.array([np.abs(u[:highest]) ** 2 for u in inputs])
+    known = len(owners) >= _FEWEST_SEGMENTS
+    norm = power.sum(axis=0) * drive.sum(axis=0)
+    squared = np.abs(cross.sum(axis=0)) ** 2 / np.where(norm > 0, norm, 1.0)
+    squared = np.clip(squared, 0.0, 1 - 1e-12)
+    n = edges.size - 1
+    ratio, p_values, coherence, p_coherent = np.ones(n), np.ones(n), np.full(n, np.nan), np.ones(n)
+    for k, (low, high) in enumerate(itertools.pairwise(edges)):
+        band = slice(low, high)
+        portions = [
+            Portion(2 * (high - low) * owners.count(i), 0.0, float(scene.noise.dof[i]))
+            for i in dict.fromkeys(owners)
+        ]
+        hertz_of_band = np.arange(low, high) / duration
+        slack = max(
+            scene.noise.slack(hertz_of_band * ready.drive.interval) for ready in scene.parts
+        )
+        ratio[k], p_values[k] = excess(2 * float(power[:, band].sum()), portions, slack)
+        p_values[k] = max(p_values[k], _against_lead(scene, hertz_of_band, power[:, band], owners))
+        if known:
+            coherence[k] = squared[band].mean()
+            # Of noise, -(L - 1) ln(1 - coherence) of L segments is exponentially distributed.
+            score = -(len(owners) - 1) * np.log1p(-squared[band]).sum()
+            p_coherent[k] = stats.gamma.sf(score, high - low)
+    flags = scene.significant(p_values) if scene.noise.known else np.zeros(n, bool)
+    coherent = scene.significant(p_coherent) if known else np.zeros(n, bool)
+    hertz = edges / duration
+    sentence = _frequency_sentence(scene, hertz, ratio, flags, coherent, known)
+    significant = bool(flags.any() if scene.noise.known else coherent.any())
+    return FrequencyView(significant, sentence, hertz, ratio, p_values, flags, coherence, coherent)
+
+
+def _segments(
+    scene: _Scene,
+) -> tuple[list[np.ndarray], list[np.ndarray], list[int], float]:
+    """Spectra of whitened residuals and imposed signals over segments of one duration."""
+    firsts = [int(b.index[0, 0]) if b.index.size else 0 for b in scene.blocks]
+    spans = [
+        (r.last - r.first - first) * r.drive.interval
+        for r, first in zip(scene.parts, firsts, strict=True)
+    ]
+    duration = min(min(spans), _LONGEST_SEGMENT)
+    residuals, inputs, owners = [], [], []
+    for i, (ready, first) in enumerate(zip(scene.parts, firsts, strict=True)):
+        length = int(duration / ready.drive.interval * (1 + 1e-9))
+        if length < 16:
+            return [], [], [], duration
+        white = scene.noise.white(i, scene.candidate.fitted.by_trial[i])
+        acting = ready.drive.signals[ready.first : ready.last, 0]
+        acting = acting - acting[first]
+        for start in range(first, white.size - length + 1, length):
+            part = slice(start, start + length)
+            residuals.append(np.fft.rfft(white[part]) / np.sqrt(length))
+            inputs.append(np.fft.rfft(acting[part]))
+            owners.append(i)
+    return residuals, inputs, owners, duration
+
+
+def _against_lead(
+    scene: _Scene, hertz: np.ndarray, power: np.ndarray, owners: Sequence[int]
+) -> float:
+    """Probability that a band's power exceeds that of the leads in the same band, by chance.
+
+    The noise's spectrum is a smooth fit to the leads; a hum stands out from it in both.
+    """
+    if not scene.noise.known:
+        return 0.0
+    quiet, n = 0.0, 0
+    for i in dict.fromkeys(owners):
+        ready = scene.parts[i]
+        lead = np.asarray(ready.response[: ready.lead.n_samples])[:, None]
+        white = scene.noise.white(i, lead)[scene.noise.coefficients.size :, 0]
+        spectrum = np.abs(np.fft.rfft(white)) ** 2 / white.size
+        at = np.fft.rfftfreq(white.size, ready.drive.interval)
+        inside = (at >= hertz[0]) & (at <= hertz[-1])
+        quiet += float(spectrum[inside].sum())
+        n += int(inside.sum())
+    if not n:
+        return 0.0
+    return float(stats.f.sf(power.mean() / (quiet / n), 2 * power.size, 2 * n))
+
+
+def _octaves(highest: int) -> np.ndarray:
+    """Edges of bands an octave wide, as numbers of periods in a segment, without its mean."""
+    edges = [1]
+    while edges[-1] < highest:
+        edges.append(min(max(2 * edges[-1], edges[-1] + 1), highest))
+    return np.array(edges)
+
+
+def _frequency_sentence(
+    scene: _Scene,
+    hertz: np.ndarray,
+    ratio: np.ndarray,
+    flags: np.ndarray,
+    coherent: np.ndarray,
+    coherence_known: bool,
+) -> str:
+    imposed_signal = scene.parts[0].trial.driven
+    if not scene.noise.known:
+        if not coherence_known:
+            return "The noise is unknown and there are too few trials for a coherence."
+        if not coherent.any():
+            return f"At no frequency is the residual coherent with the imposed {imposed_signal}."
+        return (
+            f"The residual is coherent with the imposed {imposed_signal} at "
+            f"{_bands(hertz, coherent)}: what is missing is driven by it (the noise is unknown)."
+        )
+    if not flags.any():
+        return f"At no frequency does the residual's power exceed the noise's ({flags.size} bands)."
+    worst = int(np.argmax(np.where(flags, ratio, 0.0)))
+    sentence = (
+        f"The residual's power exceeds the noise's at {_bands(hertz, flags)}, most "
+        f"({ratio[worst]:.2g} times) at {hertz[worst]:.2g} to {hertz[worst + 1]:.2g} Hz"
+    )
+    if not coherence_known:
+        return sentence + "."
+    if (coherent & flags).any():
+        return sentence + f"; it is coherent with the imposed {imposed_signal}."
+    return sentence + f"; it is not coherent with the imposed {imposed_signal}."
+
+
+def _bands(hertz: np.ndarray, flags: np.ndarray) -> str:
+    """Flagged bands in words, neighbours joined."""
+    edge = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(int), [0]])))
+    pairs = edge.reshape(-1, 2)
+    return " and ".join(f"{hertz[low]:.2g} to {hertz[high]:.2g} Hz" for low, high in pairs)
+
+
+# State
+
+
+def _in_state(scene: _Scene) -> StateView:
+    """Unexplained torque on a grid of angle and velocity, by generalised least squares.
+
+    A torque that is constant within each cell acts on the joint that the model says it is (with the
+    candidate's K, B and I), and the response to it is fitted to the whitened residual, together
+    with changes of K, B and I and of the trials' levels. This needs no second derivative of the
+    measured angle. Of the torques only what is orthogonal to angle and velocity is determined.
+    """
+    motions = [
+        _motion(ready, left)
+        for ready, left in zip(scene.parts, scene.candidate.fitted.by_trial, strict=True)
+    ]
+    limits = [
+        max(float(np.quantile(np.abs(np.concatenate([m[k] for m in motions])), _REACH)), 1e-12)
+        for k in (0, 1)
+    ]
+    edges = [np.linspace(-limit, limit, _CELLS + 1) for limit in limits]
+    cells = []
+    for motion in motions:
+        at = [
+            np.clip(np.searchsorted(e, x, side="right") - 1, 0, _CELLS - 1)
+            for e, x in zip(edges, motion, strict=True)
+        ]
+        cells.append(at[0] * _CELLS + at[1])
+    n_cells = _CELLS**2
+    counts = sum(
+        np.bincount(cell[b.index[:, 0]], minlength=n_cells)
+        for cell, b in zip(cells, scene.blocks, strict=True)
+    )
+    used = np.flatnonzero(np.asarray(counts) >= _FEWEST_BLOCKS)
+    _, slopes = scene.refits.linearised(scene.refits.values)
+    rows, nuisance, forced = [], [], []
+    for i, (ready, b) in enumerate(zip(scene.parts, scene.blocks, strict=True)):
+        inside = (cells[i][:, None] == used).astype(float)
+        response = _response_to_torque(scene, ready, inside)
+        forced.append(scene.noise.averaged(i, response, b.index))
+        levels = np.zeros((len(b.values), len(scene.parts)))
+        ones = np.ones((len(response), 1))
+        levels[:, i] = scene.noise.averaged(i, ones, b.index)[:, 0]
+        nuisance.append(np.column_stack([scene.noise.averaged(i, slopes[i], b.index), levels]))
+        rows.append(b.values)
+    z, free, design = np.concatenate(rows), np.concatenate(nuisance), np.concatenate(forced)
+    middle = np.column_stack(
+        [
+            np.repeat((edges[0][1:] + edges[0][:-1]) / 2, _CELLS),
+            np.tile((edges[1][1:] + edges[1][:-1]) / 2, _CELLS),
+        ]
+    )[used]
+    weights = np.asarray(counts)[used, None]
+    basis = _orthogonal_to(weights * middle / np.array(limits))
+    reduced = _residual_of(design @ basis, free)
+    left = _residual_of(z[:, None], free)[:, 0]
+    inverse = np.linalg.pinv(reduced, rcond=1e-4)
+    rank = (
+        int(np.linalg.matrix_rank(reduced, tol=1e-4 * np.linalg.norm(reduced, 2)))
+        if reduced.size
+        else 0
+    )
+    torque, errors = np.full(n_cells, np.nan), np.full(n_cells, np.nan)
+    flags = np.zeros(n_cells, bool)
+    shape = (_CELLS, _CELLS)
+    if rank == 0:
+        sentence = "The trials visit too few states to tell where in them the model fails."
+        empty = torque.reshape(shape)
+        return StateView(False, sentence, *edges, empty, empty, flags.reshape(shape), 0.0, 1.0)
+    coefficients = inverse @ left
+    remaining = left - reduced @ coefficients
+    gained = float(left @ left - remaining @ remaining)
+    hat = np.sum(reduced * inverse.T, axis=1)
+    owner = np.repeat(np.arange(len(scene.parts)), [len(b.values) for b in scene.blocks])
+    shares = np.bincount(owner, np.maximum(hat, 0.0), len(scene.parts))
+    portions = [
+        Portion(float(n), 0.0, float(dof)) for n, dof in zip(shares, scene.noise.dof, strict=True)
+    ]
+    p_value = excess(gained, portions, scene.slow_slack)[1]
+    spread = max(1.0, float(np.mean(remaining**2)) * correlation_time((remaining,)))
+    torque[used] = basis @ coefficients
+    errors[used] = np.sqrt(spread * np.sum((basis @ inverse) ** 2, axis=1))
+    p_cells = 2 * stats.norm.sf(np.abs(torque[used]) / np.maximum(errors[used], 1e-300))
+    flags[used] = scene.significant(p_cells)
+    misfit = float(left @ left) - (left.size - free.shape[1])
+    share = float(np.clip((gained - rank) / misfit, 0.0, 1.0)) if misfit > gained - rank else 1.0
+    significant = p_value <= scene.level
+    sentence = (
+        f"No torque that depends on angle and velocity alone is missing ({probability(p_value)})."
+    )
+    if significant:
+        clear = np.where(flags, np.abs(np.nan_to_num(torque)), 0.0)
+        clear = clear if flags.any() else np.abs(np.nan_to_num(torque))
+        worst = int(np.argmax(clear * np.sqrt(counts)))
+        angle, velocity = (
+            float((e[k] + e[k + 1]) / 2) for e, k in zip(edges, divmod(worst, _CELLS), strict=True)
+        )
+        sentence = (
+            "A torque that depends on angle and velocity alone would explain "
+            f"{100 * share:.0f} % of the misfit; it weighs most, {torque[worst]:+.2g} Nm, near {angle:+.2g} rad and "
+            f"{velocity:+.2g} rad/s."
+        )
+    return StateView(
+        significant,
+        sentence,
+        *edges,
+        torque.reshape(shape),
+        errors.reshape(shape),
+        flags.reshape(shape),
+        share if significant else 0.0,
+        p_value,
+    )
+
+
+def _motion(ready: Ready, left: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Angle and velocity at the compared samples; of an imposed torque, as the model has them."""
+    if ready.trial.driven == "angle":
+        signals = ready.drive.signals[ready.first : ready.last]
+        return signals[:, 0], signals[:, 1]
+    angle = ready.compared - left
+    return angle, np.gradient(angle, ready.drive.interval)
+
+
+def _response_to_torque(scene: _Scene, ready: Ready, torque: np.ndarray) -> np.ndarray:
+    """Change of the response to additional resisting torques, shape (n, k)."""
+    if ready.trial.driven == "angle":
+        return torque
+    K, B, I = scene.refits.values
+    system = np.array([[0.0, 1.0], [-K / I, -B / I]]), np.array([[0.0], [1 / I]])
+    read = np.array([[1.0, 0.0]]), np.zeros((1, 1))
+    b, a = signal.ss2tf(*signal.cont2discrete((*system, *read), ready.drive.interval)[:4])
+    return -np.asarray(signal.lfilter(b[0], a, torque, axis=0))
+
+
+def _orthogonal_to(columns: np.ndarray) -> np.ndarray:
+    """Orthonormal basis of what is orthogonal to some columns."""
+    vectors, sizes, _ = np.linalg.svd(columns, full_matrices=True)
+    rank = int(np.sum(sizes > 1e-9 * max(sizes.max(initial=0.0), 1e-300)))
+    return np.asarray(vectors[:, rank:])
+
+
+def _residual_of(columns: np.ndarray, regressors: np.ndarray) -> np.ndarray:
+    """Columns less what a linear regression explains of them."""
+    norms = np.linalg.norm(regressors, axis=0)
+    kept = regressors[:, norms > 0] / norms[norms > 0]
+    return np.asarray(columns - kept @ np.linalg.lstsq(kept, columns, rcond=1e-10)[0])
+
+
+# Direction and size
+
+
+@dataclass(frozen=True, eq=False)
+class _Combined:
+    """Weighted sum of two trials' residuals, in units of its noise."""
+
+    values: np.ndarray
+    time: np.ndarray
+    portion: Portion
+
+
+def _combined(scene: _Scene, i: int, j: int, weight: float) -> _Combined:
+    """Residual of trial j plus `weight` times that of trial i."""
+    one, other = scene.blocks[i], scene.blocks[j]
+    n = min(one.values.size, other.values.size)
+    variances = np.array([(weight * scene.noise.sds[i]) ** 2, scene.noise.sds[j] ** 2])
+    total = variances.sum()
+    values = (
+        weight * scene.noise.sds[i] * one.values[:n] + scene.noise.sds[j] * other.values[:n]
+    ) / np.sqrt(total)
+    shares = variances / total
+    levels = np.array([one.level[:n] @ one.level[:n], other.level[:n] @ other.level[:n]])
+    dof = 1 / np.sum(shares**2 / scene.noise.dof[[i, j]])
+    return _Combined(values, other.time[:n], Portion(n, float(shares @ levels), float(dof)))
+
+
+def _profile(
+    scene: _Scene, combined: Sequence[_Combined], edges: np.ndarray
+) -> tuple[np.ndarray, float, float]:
+    """Mean squares over the noise's by time; the ratio over all times, and its probability."""
+    bins = [_bin(c.time, edges) for c in combined]
+    squares = np.zeros(edges.size - 1)
+    numbers = np.zeros(edges.size - 1)
+    for c, inside in zip(combined, bins, strict=True):
+        squares += np.bincount(inside, c.values**2, edges.size - 1)
+        numbers += np.bincount(inside, minlength=edges.size - 1)
+    total = sum(float(c.values @ c.values) for c in combined)
+    ratio, p_value = excess(total, [c.portion for c in combined], scene.slack)
+    return squares / np.maximum(numbers, 1), ratio, p_value
+
+
+def _alike(scene: _Scene) -> list[tuple[int, int, float]]:
+    """Pairs of trials of one waveform and length, the smaller first, and the ratio of sizes."""
+    found = []
+    for i, one in enumerate(scene.loads):
+        for j, other in enumerate(scene.loads):
+            ratio = other.gain / one.gain if one.gain else 0.0
+            same = i != j and one.kind == other.kind and scene.blocks[i].time.size > 0
+            if same and (abs(ratio) > 1 or (abs(ratio) == 1 and i < j)):
+                found.append((i, j, ratio))
+    return found
+
+
+def _names(scene: _Scene, pairs: Sequence[tuple[int, int, float]]) -> tuple[tuple[str, str], ...]:
+    return tuple((scene.parts[i].name, scene.parts[j].name) for i, j, _ in pairs)
+
+
+def _by_direction(scene: _Scene) -> DirectionView:
+    pairs = [p for p in _alike(scene) if abs(p[2] + 1) < _OPPOSITE]
+    if not pairs:
+        none = np.zeros(0)
+        reason = (
+            "No two trials are the same perturbation in opposite directions, so the misfit cannot "
+            "be split into parts that keep and that turn their sign."
+        )
+        return DirectionView(False, reason, (), none, none, none, 1.0, 1.0, False, False)
+    even = [_combined(scene, i, j, 1.0) for i, j, _ in pairs]
+    odd = [_combined(scene, i, j, -1.0) for i, j, _ in pairs]
+    edges = _edges(scene, {k for i, j, _ in pairs for k in (i, j)})
+    even_profile, even_ratio, p_even = _profile(scene, even, edges)
+    odd_profile, odd_ratio, p_odd = _profile(scene, odd, edges)
+    is_even, is_odd = (bool(f) for f in scene.significant(np.array([p_even, p_odd])))
+    sizes = (
+        f"(even part {np.sqrt(even_ratio):.2g}, odd part {np.sqrt(odd_ratio):.2g} times "
+        f"{scene.reference})"
+    )
+    sentence = {
+        (False, False): f"Neither direction shows a misfit {sizes}.",
+        (False, True): f"The misfit turns its sign with the perturbation {sizes}.",
+        (True, False): f"The misfit keeps its sign when the perturbation turns {sizes}.",
+        (
+            True,
+            True,
+        ): f"The misfit differs between the directions, and partly turns with them {sizes}.",
+    }[is_even, is_odd]
+    return DirectionView(
+        is_even or is_odd,
+        sentence,
+        _names(scene, pairs),
+        edges,
+        even_profile,
+        odd_profile,
+        p_even,
+        p_odd,
+        is_even,
+        is_odd,
+    )
+
+
+def _misfit(scene: _Scene, trials: Iterable[int]) -> bool:
+    """Whether some trials' residuals exceed the noise at all."""
+    chosen = [(i, scene.blocks[i]) for i in trials]
+    everything = slice(None)
+    portions = [scene.noise.portion(i, blocks, everything) for i, blocks in chosen]
+    total = sum(float(blocks.values @ blocks.values) for _, blocks in chosen)
+    return excess(total, portions, scene.slack)[1] <= scene.level
+
+
+def _by_amplitude(scene: _Scene) -> AmplitudeView:
+    different = [p for p in _alike(scene) if abs(p[2]) > _OTHER_SIZE]
+    # Trials of one direction tell size from direction; others serve where there are none.
+    pairs = [p for p in different if p[2] > 0] or different
+    if not pairs:
+        none = np.zeros(0)
+        reason = (
+            "No two trials are the same perturbation at two sizes, so whether the misfit scales "
+            "with it is not known."
+        )
+        return AmplitudeView(False, reason, (), (), none, none, 1.0)
+    combined = [_combined(scene, i, j, -ratio) for i, j, ratio in pairs]
+    edges = _edges(scene, {k for i, j, _ in pairs for k in (i, j)})
+    profile, ratio, p_value = _profile(scene, combined, edges)
+    significant = p_value <= scene.level
+    size = f"{np.sqrt(ratio):.2g} times {scene.reference}"
+    if significant:
+        sentence = (
+            "The residual does not scale with the perturbation (the difference is "
+            f"{size}): what is missing is not linear."
+        )
+        if pairs[0][2] < 0:
+            sentence = (
+                "The residual does not scale with the perturbation (the difference is "
+                f"{size}), but size and direction differ together."
+            )
+    elif _misfit(scene, {k for i, j, _ in pairs for k in (i, j)}):
+        sentence = (
+            f"The misfit scales with the perturbation (the difference is {size}, "
+            f"{probability(p_value)}): what is missing looks linear."
+        )
+    else:
+        sentence = (
+            f"Neither size shows a misfit (the scaled difference is {size}, "
+            f"{probability(p_value)})."
+        )
+    return AmplitudeView(
+        significant,
+        sentence,
+        _names(scene, pairs),
+        tuple(float(p[2]) for p in pairs),
+        edges,
+        profile,
+        p_value,
+    )
+
+
+# Trials and conditions
+
+
+def _by_trial(
+    scene: _Scene, groups: Sequence[tuple[str, list[int]]], what: str, plural: str
+) -> TrialView:
+    fitted = scene.candidate.fitted
+    names = tuple(name for name, _ in groups)
+    errors = np.array([float(np.mean(fitted.errors[members])) for _, members in groups])
+    n = len(groups)
+    ratio, p_values = np.ones(n), np.ones(n)
+    if scene.noise.known:
+        for k, (_, members) in enumerate(groups):
+            portions = [scene.noise.portion(i, scene.blocks[i], slice(None)) for i in members]
+            total = sum(float(np.sum(scene.blocks[i].values ** 2)) for i in members)
+            ratio[k], p_values[k] = excess(total, portions, scene.slack)
+    elif n > 1:
+        samples = [r.size / correlation_time((r,)) for r in fitted.by_trial]
+        counts = np.array([sum(samples[i] for i in members) for _, members in groups])
+        for k in range(n):
+            others = np.arange(n) != k
+            ratio[k] = errors[k] / max(np.average(errors[others], weights=counts[others]), 1e-300)
+            p_values[k] = stats.f.sf(ratio[k], counts[k], counts[others].sum())
+    flags = scene.significant(p_values)
+    pooled = fitted.error
+    if n == 1 and not scene.noise.known:
+        sentence = f"There is one {what} (E = {pooled:.2g}), and the noise is unknown."
+    elif not flags.any():
+        against = (
+            "the noise explains" if scene.noise.known else "the others have (the noise is unknown)"
+        )
+        sentence = f"No {what} has a larger error than {against} (E = {pooled:.2g})."
+    else:
+        worst = int(np.argmax(np.where(flags, ratio, 0.0)))
+        against = (
+            "the noise explains" if scene.noise.known else "the others have (the noise is unknown)"
+        )
+        sentence = (
+            f"{flags.sum()} of {n} {plural} have a larger error than {against}; it is largest "
+            f"against that in {names[worst]} (E = {errors[worst]:.2g}, over all {pooled:.2g})."
+        )
+        if n == 1:
+            sentence = f"The one {what} has a larger error than {against} (E = {pooled:.2g})."
+    return TrialView(bool(flags.any()), sentence, names, errors, pooled, ratio, p_values, flags)

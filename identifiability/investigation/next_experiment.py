@@ -1,0 +1,270 @@
+"""The perturbation that would tell apart what these data cannot.
+
+For two rivals i and j and a perturbation, the evidence to expect is how far the best j stays from
+what i predicts, in units of the noise: T = min over theta_j of |y_i - y_j|^2 / sigma^2, expected
+twice the difference of the log likelihoods (the T criterion of Atkinson & Fedorov 1975, Biometrika
+62: 57-70). It is computed both ways round; the smaller counts.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from identifiability.errors import InputError
+from identifiability.inference.fitting import explore
+from identifiability.inference.problem import Problem, observe
+from identifiability.investigation.candidates import Candidate, Workbench
+from identifiability.investigation.evidence import Evidence
+from identifiability.joint.response import simulate
+from identifiability.measurement.noise import Noise
+from identifiability.measurement.perturbations import (
+    Drive,
+    SampledTorque,
+    imposed_motion,
+    multisine,
+    prbs,
+)
+
+RESOLVED = 20.0
+"""Expected evidence at which a pair counts as resolved: twice the decisive difference."""
+_EVALUATIONS = 30
+_LEAD = 0.05  # [s] of rest before the perturbation
+
+
+@dataclass(frozen=True)
+class Limits:
+    """What an experiment may do.
+
+    Attributes
+    ----------
+    torque : float
+        Largest torque [Nm], where torque is imposed.
+    angle : float
+        Largest excursion [rad].
+    duration : float
+        Of the record [s].
+    """
+
+    torque: float
+    angle: float
+    duration: float
+
+
+@dataclass(frozen=True)
+class Design:
+    """One perturbation and the evidence it would give.
+
+    Attributes
+    ----------
+    perturbation : str
+        In words, with its parameters.
+    amplitude : float
+        Largest torque [Nm] or angle [rad] imposed.
+    peak_angle : float
+        Largest angle [rad] to expect.
+    expected_evidence : float
+        T, for one trial.
+    """
+
+    perturbation: str
+    amplitude: float
+    peak_angle: float
+    expected_evidence: float
+
+
+@dataclass(frozen=True)
+class NextExperiment:
+    """Perturbation that would best separate two effects.
+
+    Attributes
+    ----------
+    pair : tuple of str
+    best : Design
+    others : tuple of Design
+        What else was tried, best first.
+    limits : Limits
+    resolved : bool
+    sentence : str
+    """
+
+    pair: tuple[str, str]
+    best: Design
+    others: tuple[Design, ...]
+    limits: Limits
+    resolved: bool
+    sentence: str
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain record, for JSON."""
+        return asdict(self)
+
+
+def usual_limits(evidence: Evidence) -> Limits:
+    """Limits that the recorded trials kept: their largest torque, angle and duration."""
+    trials = [r.trial for r in (*evidence.fitted, *evidence.held_out)]
+    return Limits(
+        max(float(np.abs(t.torque).max()) for t in trials),
+        max(float(np.abs(t.angle).max()) for t in trials),
+        max(t.duration for t in trials),
+    )
+
+
+def next_experiment(
+    bench: Workbench,
+    final: Candidate,
+    rival: Candidate,
+    pair: tuple[str, str],
+    *,
+    limits: Limits | None = None,
+    seed: int = 1,
+) -> NextExperiment:
+    """Search the perturbations within limits for the one that best separates two models.
+
+    Parameters
+    ----------
+    bench : Workbench
+    final, rival : Candidate
+        The two models, fitted.
+    pair : tuple of str
+        The effects in which they differ.
+    limits : Limits, optional
+        Those that the recorded trials kept by default.
+    seed : int
+        Of random waveforms.
+
+    Raises
+    ------
+    InputError
+        Where no perturbation within the limits has a finite response.
+    """
+    evidence = bench.evidence
+    limits = usual_limits(evidence) if limits is None else limits
+    trial = evidence.fitted[0]
+    interval = trial.drive.interval
+    n = min(int(limits.duration / interval) + 1, evidence.room[1])
+    time = interval * np.arange(n)
+    noise = _noise(evidence, final)
+    tried = []
+    for words, signal in _waveforms(time, seed):
+        try:
+            tried.append(_assess(bench, final, rival, words, signal, time, noise, limits))
+        except (InputError, ValueError, np.linalg.LinAlgError):
+            continue
+    if not tried:
+        raise InputError("no perturbation within the limits has a finite response")
+    tried.sort(key=lambda d: -d.expected_evidence)
+    best = tried[0]
+    resolved = best.expected_evidence >= RESOLVED
+    first, second = (key.replace("_", " ") for key in pair)
+    sentence = (
+        f"To tell {first} from {second}: {best.perturbation} "
+        f"(expected evidence {best.expected_evidence:.0f} a trial, {RESOLVED:.0f} is enough)."
+        if resolved
+        else f"No single perturbation within the limits tells {first} from {second}; the best is "
+        f"{best.perturbation}, with an expected evidence of {best.expected_evidence:.1f} a trial: "
+        f"about {int(np.ceil(RESOLVED / max(best.expected_evidence, 1e-3)))} repetitions would do."
+    )
+    return NextExperiment(pair, best, tuple(tried[1:]), limits, resolved, sentence)
+
+
+def _noise(evidence: Evidence, final: Candidate) -> float:
+    if evidence.has_noise:
+        return float(np.median([r.lead.sd for r in evidence.fitted]))
+    return float(np.median([np.std(r) for r in final.fitted.by_trial]))
+
+
+def _waveforms(time: np.ndarray, seed: int) -> list[tuple[str, np.ndarray]]:
+    """Unit perturbations that begin after a short rest."""
+    start = int(np.searchsorted(time, _LEAD - 1e-9))
+    moved = time[start:] - time[start]
+
+    def placed(values: np.ndarray) -> np.ndarray:
+        signal = np.zeros(time.size)
+        signal[start:] = values
+        return signal
+
+    def pulse(width: float) -> np.ndarray:
+        return placed(((moved > 0) & (moved <= width)).astype(float))
+
+    out = [(f"a pulse of {1000 * w:g} ms", pulse(w)) for w in (0.005, 0.02, 0.05, 0.15)]
+    out.append(("a step", placed((moved > 0).astype(float))))
+    double = pulse(0.02) - np.roll(pulse(0.02), round(0.06 / (time[1] - time[0])))
+    out.append(("two opposite pulses of 20 ms, 60 ms apart", double))
+    for f in (2.0, 6.0, 15.0):
+        out.append((f"a sinusoid of {f:g} Hz", placed(np.sin(2 * np.pi * f * moved))))
+    if moved[-1] > 0.4:
+        interval = time[1] - time[0]
+        tones = np.arange(1.0, 21.0)
+        wave = multisine(moved, amplitude=1.0, frequencies=tones, seed=seed).torque
+        out.append(("a multisine from 1 to 20 Hz", placed(wave / np.abs(wave).max())))
+        dwell = max(1, round(0.03 / interval)) * interval
+        binary = prbs(moved, amplitude=1.0, dwell=dwell, seed=seed).torque
+        out.append(("a pseudo-random binary sequence switching every 30 ms", placed(binary)))
+    return out
+
+
+def _assess(
+    bench: Workbench,
+    final: Candidate,
+    rival: Candidate,
+    words: str,
+    signal: np.ndarray,
+    time: np.ndarray,
+    noise: float,
+    limits: Limits,
+) -> Design:
+    angle_driven = bench.evidence.driven == "angle"
+    unit = "rad" if angle_driven else "Nm"
+    amplitude = limits.angle if angle_driven else limits.torque
+    for _ in range(6):
+        drive = _drive(signal * amplitude, time, angle_driven)
+        response = _simulated(final, drive)
+        peak = amplitude if angle_driven else float(np.abs(response).max())
+        if peak <= 1.001 * limits.angle:
+            break
+        amplitude *= 0.95 * limits.angle / peak
+    evidence = min(
+        _distance(bench, rival, drive, response, noise),
+        _distance(bench, final, drive, _simulated(rival, drive), noise),
+    )
+    what = f"{words} with {'an angle' if angle_driven else 'a torque'} of {amplitude:.2g} {unit}"
+    return Design(what, float(amplitude), peak, float(evidence))
+
+
+def _drive(signal: np.ndarray, time: np.ndarray, angle_driven: bool) -> Drive:
+    if not angle_driven:
+        return SampledTorque(signal).drive(time)
+    # A servo cannot jump: the motion is smoothed over 20 ms.
+    width = max(3, round(0.02 / (time[1] - time[0])))
+    window = np.hanning(width + 2)[1:-1]
+    smooth = np.convolve(signal, window / window.sum(), mode="full")[: signal.size]
+    return imposed_motion(time, smooth)
+
+
+def _simulated(candidate: Candidate, drive: Drive) -> np.ndarray:
+    theta = candidate.model.vector(candidate.values)
+    substeps = None if candidate.model.linear else 1
+    return simulate(candidate.model, theta, drive, substeps=substeps)
+
+
+def _distance(
+    bench: Workbench, candidate: Candidate, drive: Drive, response: np.ndarray, noise: float
+) -> float:
+    """Evidence that remains against a model refitted to another one's response."""
+    if not np.all(np.isfinite(response)):
+        raise InputError("the response is not finite")
+    template = bench.problem(candidate.model, bench.evidence.fitted, refined=candidate.refined)
+    problem = Problem(
+        template.model,
+        [observe(drive, response, Noise(noise))],
+        template.prior,
+        fixed=template.fixed,
+        substeps=template.substeps,
+        order=template.order,
+        room=template.room,
+    )
+    start = candidate.model.vector(candidate.values)[list(problem.free)]
+    return 2 * explore(problem, start[None], evaluations=_EVALUATIONS).cost

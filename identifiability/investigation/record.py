@@ -1,0 +1,175 @@
+"""An investigation as a plain record, for JSON and for the report."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from identifiability.inference.archive import package_version
+from identifiability.investigation.candidates import Candidate
+from identifiability.investigation.evidence import Ready
+from identifiability.investigation.investigate import Findings
+from identifiability.investigation.search import Ranked
+
+SCHEMA = 1
+
+
+def record(findings: Findings, *, command: str = "") -> dict[str, Any]:
+    """Plain record of an investigation.
+
+    Parameters
+    ----------
+    findings : Findings
+    command : str
+        The command that made it.
+
+    Returns
+    -------
+    dict
+        ``schema``, ``baseline``, ``steps``, ``verdict`` and ``next_experiment``, then everything
+        else that the report shows. E is Eq. 3's error pooled over trials.
+    """
+    search, verdict, evidence = findings.search, findings.verdict, findings.evidence
+    sets = dict(zip(search.alternatives, verdict.equivalence_sets, strict=False))
+    return {
+        "schema": SCHEMA,
+        "baseline": {
+            "effects": list(search.baseline.keys),
+            **_errors(search.baseline),
+            "noise_floor": evidence.noise_floor(),
+            "noise_floor_held_out": evidence.noise_floor(evidence.held_out)
+            if evidence.held_out
+            else None,
+            "parameters": dict(search.baseline.values),
+        },
+        "steps": [
+            {
+                "added": sets[key][0] if key in sets else key,
+                "fitted_as": key,
+                "equivalent": [k for k in sets.get(key, ())[1:]],
+                **_errors(candidate),
+                "parameters": dict(candidate.values),
+            }
+            for key, candidate in search.ladder
+        ],
+        "verdict": {
+            "kind": verdict.kind,
+            "effects": list(verdict.effects),
+            "equivalence_sets": [list(s) for s in verdict.equivalence_sets],
+            "sentence": verdict.sentence,
+            "because": list(verdict.because),
+            "share_explained": verdict.share,
+            "smallest_seen": [
+                {
+                    "effect": d.key,
+                    "parameter": d.parameter,
+                    "size": d.size,
+                    "unit": d.unit,
+                    "sentence": d.sentence,
+                }
+                for d in verdict.smallest_seen
+            ],
+        },
+        "next_experiment": None
+        if findings.next_experiment is None
+        else findings.next_experiment.to_dict(),
+        "rankings": [
+            {
+                "model": list(step.before.keys),
+                "chosen": step.chosen,
+                "candidates": [_ranked(r) for r in step.ranking],
+            }
+            for step in search.steps
+        ],
+        "alternatives": {
+            key: [_ranked(r) for r in ranked] for key, ranked in search.alternatives.items()
+        },
+        "fits": search.n_fits,
+        "ended": search.ended,
+        "unexplained": {
+            "baseline": _unexplained(findings.unexplained_before),
+            "final": _unexplained(findings.unexplained_after),
+        },
+        "widths": None if findings.widths is None else findings.widths.to_dict(),
+        "trials": [
+            *(_trial(r, "fitted") for r in evidence.fitted),
+            *(_trial(r, "held out") for r in evidence.held_out),
+        ],
+        "held_out": evidence.how_held_out,
+        "driven": evidence.driven,
+        "warnings": list(findings.warnings),
+        "package": package_version(),
+        "seed": findings.seed,
+        "data_sha256": data_hash((*evidence.fitted, *evidence.held_out)),
+        "command": command,
+    }
+
+
+def data_hash(trials: Sequence[Ready]) -> str:
+    """SHA-256 over the files' hashes, or the samples where a trial came from no file."""
+    digest = hashlib.sha256()
+    for ready in trials:
+        if ready.trial.sha256:
+            digest.update(ready.trial.sha256.encode())
+        else:
+            digest.update(np.ascontiguousarray(ready.trial.torque).tobytes())
+            digest.update(np.ascontiguousarray(ready.trial.angle).tobytes())
+    return digest.hexdigest()
+
+
+def _errors(candidate: Candidate) -> dict[str, float | None]:
+    held = candidate.held_out
+    return {
+        "error_fit": candidate.fitted.error,
+        "error_held_out": held.error if held.by_trial else None,
+    }
+
+
+def _ranked(ranked: Ranked) -> dict[str, Any]:
+    candidate = ranked.candidate
+    if candidate.failure:
+        return {"effect": ranked.key, "failure": candidate.failure}
+    return {
+        "effect": ranked.key,
+        "evidence": ranked.evidence,
+        "held_out_gain": ranked.held_out_gain,
+        "admitted": ranked.passes,
+        "reason": ranked.reason,
+        **_errors(candidate),
+        "parameters": {n: v for n, v in candidate.values.items() if n.startswith(f"{ranked.key}.")},
+        "at_bound": list(candidate.at_bound),
+        "refined": list(candidate.refined),
+        "fitted_to_the_end": candidate.thorough,
+        "starts_agreeing": candidate.n_agreeing,
+        "starts": candidate.n_starts,
+    }
+
+
+def _unexplained(rest: Any) -> dict[str, Any] | None:
+    if rest is None:
+        return None
+    return {
+        "sentence": rest.sentence,
+        "best": rest.best,
+        "margin": rest.margin,
+        "decided": rest.decided,
+        "share": rest.share,
+        "families": [{"key": f.key, "log_evidence": f.log_evidence} for f in rest.families],
+    }
+
+
+def _trial(ready: Ready, role: str) -> dict[str, Any]:
+    trial = ready.trial
+    return {
+        "name": trial.name,
+        "role": role,
+        "source": trial.source,
+        "sha256": trial.sha256,
+        "samples": ready.last - ready.first,
+        "sampling_rate": trial.sampling_rate,
+        "noise_sd": ready.lead.sd if ready.lead.n_samples else None,
+        "notes": list(trial.notes),
+    }

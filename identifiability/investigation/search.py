@@ -1,0 +1,471 @@
+"""The search for missing effects: add, refine, drop, swap, each time refitted and held to a gate.
+
+Evidence for a larger model is the logarithm of the ratio of the weighted residuals, times the
+number of samples that count as independent, less a penalty for its parameters: the Bayesian
+information criterion of Schwarz 1978 (Ann Stat 6: 461-464) with an unknown scale of the noise. The
+residual of a model that is not exact is correlated, so it counts for few samples; at the noise
+floor nearly all count.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from identifiability.investigation.candidates import (
+    Candidate,
+    Residual,
+    Workbench,
+    effective_samples,
+    starting_values,
+)
+from identifiability.joint.effects import EFFECTS, Effect
+from identifiability.joint.model import Model
+
+DECISIVE = 10.0
+"""Difference of the information criterion that counts as decisive (Kass & Raftery 1995: more than
+10 is very strong evidence)."""
+MOST_EFFECTS = 3
+_WORKERS = 2
+_WITHIN_REACH = 0.5  # share of the best gain at which a candidate is worth refining or swapping
+_MOST_REFINED, _MOST_SWAPS = 3, 4
+_WORTH, _LEAST_FINISHED = 0.3, 4  # share of the best gain at a glance, and number, to be finished
+
+Progress = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Ranked:
+    """One candidate in a ranking.
+
+    Attributes
+    ----------
+    key : str
+        Effect that it adds, or puts in another's place.
+    candidate : Candidate
+    evidence : float
+        Decrease of the information criterion against the model before, positive if better.
+    held_out_gain : float
+        Logarithm of the ratio of the weighted held-out residuals before and after.
+    passes : bool
+        Whether it is admitted: decisive evidence, and the held-out trials agree.
+    reason : str
+        Why it is not.
+    """
+
+    key: str
+    candidate: Candidate
+    evidence: float
+    held_out_gain: float
+    passes: bool
+    reason: str
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """One effect added.
+
+    Attributes
+    ----------
+    before : Candidate
+    ranking : tuple of Ranked
+        All candidates, best first.
+    chosen : str
+        Effect that was added, empty where none was admitted.
+    """
+
+    before: Candidate
+    ranking: tuple[Ranked, ...]
+    chosen: str
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """What the search did.
+
+    Attributes
+    ----------
+    baseline : Candidate
+    steps : tuple of Step
+        The last one admitted nothing, unless the search ended for another reason.
+    final : Candidate
+    ladder : tuple of (str, Candidate)
+        The final model's effects one by one, each with the model up to it: at every rung the
+        effect that lowers the error most.
+    alternatives : dict of str to tuple of Ranked
+        For each effect of the final model, what could stand in its place, best first; evidence is
+        against the final model.
+    n_fits : int
+        Number of models that were fitted.
+    ended : str
+        Why the search ended.
+    """
+
+    baseline: Candidate
+    steps: tuple[Step, ...]
+    final: Candidate
+    ladder: tuple[tuple[str, Candidate], ...]
+    alternatives: dict[str, tuple[Ranked, ...]]
+    n_fits: int
+    ended: str
+
+
+def evidence_for(larger: Residual, smaller: Residual, extra: int, samples: float) -> float:
+    """Decrease of the information criterion from a smaller to a larger model."""
+    if not np.isfinite(larger.weighted):
+        return -np.inf
+    return float(samples * np.log(smaller.weighted / larger.weighted) - extra * np.log(samples))
+
+
+@dataclass(eq=False)
+class Searcher:
+    """Runs the search over one body of evidence.
+
+    Attributes
+    ----------
+    bench : Workbench
+    library : dict of str to type of Effect
+        Effects to be tried.
+    progress : callable
+        Told ``(what, done, total)``.
+    """
+
+    bench: Workbench
+    library: dict[str, type[Effect]] = field(default_factory=lambda: dict(EFFECTS))
+    progress: Progress = lambda what, done, total: None
+    known: dict[tuple[tuple[str, ...], tuple[str, ...]], Candidate] = field(default_factory=dict)
+
+    def run(self, baseline: Candidate, most: int = MOST_EFFECTS) -> Search:
+        """Search from a fitted model.
+
+        Parameters
+        ----------
+        baseline : Candidate
+        most : int
+            Most effects to add.
+        """
+        current, steps, ended = baseline, [], f"{most} effects were added"
+        while len(current.keys) < len(baseline.keys) + most:
+            step = self.rank(current)
+            steps.append(step)
+            if not step.chosen:
+                ended = "no further effect was admitted"
+                break
+            current = next(r.candidate for r in step.ranking if r.key == step.chosen)
+            current = self._improve(current, baseline, step)
+            if self.at_floor(current):
+                ended = "the error reached the noise floor"
+                break
+        current = self._prune(current, baseline)
+        ladder = self._ladder(current, baseline)
+        alternatives = self._alternatives(current, baseline, [key for key, _ in ladder], steps)
+        return Search(baseline, tuple(steps), current, ladder, alternatives, len(self.known), ended)
+
+    def at_floor(self, candidate: Candidate) -> bool:
+        """Whether a model leaves no more than the noise does, by level and by correlation."""
+        floor = self.bench.evidence.noise_floor()
+        if floor is None:
+            return False
+        slack = 2 * self.bench.evidence.floor_uncertainty()
+        return candidate.fitted.error <= floor * (1 + min(slack, 0.3))
+
+    def rank(self, current: Candidate) -> Step:
+        """Add every effect of the library to a model, refit, and rank."""
+        keys = [key for key in self.library if key not in current.keys]
+        fitted = self._fit_all(
+            f"adding to {_named(current)}",
+            [(current.model + self.library[k](), k) for k in keys],
+            current,
+        )
+        ranking = self._refine(self._ranked(fitted, current), current)
+        chosen = next((r.key for r in ranking if r.passes), "")
+        return Step(current, tuple(ranking), chosen)
+
+    def _fit_all(
+        self, what: str, jobs: Sequence[tuple[Model, str]], current: Candidate
+    ) -> list[tuple[str, Candidate]]:
+        """A glance at every model, then the end of those that are worth it."""
+        glanced = self._map(
+            f"{what}: a glance",
+            jobs,
+            lambda model: self.fit(model, current, refined=current.refined, thorough=False),
+        )
+        gains = [
+            np.log(current.fitted.weighted / c.fitted.weighted) if not c.failure else -np.inf
+            for _, c in glanced
+        ]
+        best = max(gains, default=0.0)
+        order = np.argsort(gains)[::-1]
+        enough = {int(i) for i in order[:_LEAST_FINISHED]}
+        worth = {i for i, gain in enumerate(gains) if gain > _WORTH * best} | enough
+        todo = [(c.model, key) for i, (key, c) in enumerate(glanced) if i in worth]
+        finished = dict(
+            self._map(
+                f"{what}: fitting",
+                todo,
+                lambda model: self.fit(model, current, refined=current.refined),
+            )
+        )
+        return [(key, finished.get(key, c)) for key, c in glanced]
+
+    def _map(
+        self, what: str, jobs: Sequence[tuple[Model, str]], work: Callable[[Model], Candidate]
+    ) -> list[tuple[str, Candidate]]:
+        done = 0
+
+        def one(job: tuple[Model, str]) -> tuple[str, Candidate]:
+            nonlocal done
+            found = work(job[0])
+            done += 1
+            self.progress(f"{what} {job[1]}", done, len(jobs))
+            return job[1], found
+
+        with ThreadPoolExecutor(_WORKERS) as pool:
+            return list(pool.map(one, jobs))
+
+    def fit(
+        self,
+        model: Model,
+        near: Candidate,
+        *,
+        refined: Sequence[str] = (),
+        thorough: bool = True,
+    ) -> Candidate:
+        """Fit a model from starts about a fitted one; each model is fitted once."""
+        refined = tuple(sorted(key for key in refined if key in model.effect_keys))
+        known = self.known.get((model.effect_keys, refined))
+        if known is not None:
+            found = self.bench.finish(known) if thorough else known
+        else:
+            starts = self._starts(model, near, refined)
+            found = self.bench.fit(model, starts, refined=refined, thorough=thorough)
+        self.known[model.effect_keys, refined] = found
+        return found
+
+    def _starts(
+        self, model: Model, near: Candidate, refined: tuple[str, ...]
+    ) -> list[dict[str, float]]:
+        names = model.parameter_names
+        shared = {name: value for name, value in near.values.items() if name in names}
+        if len(shared) == len(names) and set(refined) != set(near.refined):
+            return _refinements(model, near)
+        starts = starting_values(model, shared, most=2 if near.keys else 6)
+        if near.keys:
+            # With a second effect the first one may have to take another shape.
+            plain = {n: shared[n] for n in ("K", "B", "I")}
+            starts += starting_values(model, plain, most=1)
+        return starts
+
+    def _ranked(self, fitted: Iterable[tuple[str, Candidate]], current: Candidate) -> list[Ranked]:
+        fitted = list(fitted)
+        best = min((c for _, c in fitted), key=lambda c: c.fitted.weighted)
+        samples = effective_samples(best.fitted) if not best.failure else 1.0
+        out = [self._judge(key, c, current, samples) for key, c in fitted]
+        return sorted(out, key=lambda r: -r.evidence)
+
+    def _judge(self, key: str, candidate: Candidate, current: Candidate, samples: float) -> Ranked:
+        if candidate.failure:
+            return Ranked(key, candidate, -np.inf, -np.inf, False, candidate.failure)
+        extra = len(candidate.free) - len(current.free)
+        gain = evidence_for(candidate.fitted, current.fitted, extra, samples)
+        held = held_out_gain(candidate, current)
+        reason = ""
+        if gain < DECISIVE:
+            reason = "no decisive evidence"
+        elif not self._held_out_agrees(candidate, current, held):
+            reason = "the held-out trials do not agree"
+        return Ranked(key, candidate, gain, held, not reason, reason)
+
+    def _held_out_agrees(self, candidate: Candidate, current: Candidate, held: float) -> bool:
+        if not self.bench.evidence.held_out:
+            return True
+        fit_gain = np.log(current.fitted.weighted / candidate.fitted.weighted)
+        # A quarter of the gain, less what chance may take away from it.
+        samples = effective_samples(candidate.held_out)
+        chance = 2 * np.sqrt(max(fit_gain, 0.0) / samples)
+        return bool(held > 0.25 * fit_gain - chance and held > 0)
+
+    def _refine(self, ranking: list[Ranked], current: Candidate) -> list[Ranked]:
+        """Free the refining parameters of the best candidates; keep them where it pays."""
+        top = ranking[0].evidence
+        if top < DECISIVE:
+            return ranking
+        worth = [
+            r
+            for r in ranking
+            if r.evidence >= max(DECISIVE, _WITHIN_REACH * top) and _refinable(r.candidate, r.key)
+        ][:_MOST_REFINED]
+        refined = {}
+        for r in worth:
+            self.progress(f"refining {r.key}", len(refined) + 1, len(worth))
+            more = (*r.candidate.refined, r.key)
+            refined[r.key] = self.fit(r.candidate.model, r.candidate, refined=more)
+        pool = [r.candidate.fitted for r in ranking if not r.candidate.failure]
+        pool += [c.fitted for c in refined.values() if not c.failure]
+        samples = effective_samples(min(pool, key=lambda f: f.weighted))
+        out = []
+        for r in ranking:
+            plain = self._judge(r.key, r.candidate, current, samples)
+            if r.key in refined:
+                richer = self._judge(r.key, refined[r.key], current, samples)
+                if richer.evidence > plain.evidence + DECISIVE and (
+                    richer.passes or not plain.passes
+                ):
+                    plain = richer
+            out.append(plain)
+        return sorted(out, key=lambda r: -r.evidence)
+
+    def _improve(self, current: Candidate, baseline: Candidate, step: Step) -> Candidate:
+        """Swap earlier effects for others now that one more is known."""
+        added = [key for key in current.keys if key not in baseline.keys]
+        if len(added) < 2:
+            return current
+        for key in added:
+            if key == step.chosen:
+                continue
+            for other in self._swaps(key, current, baseline):
+                if other.passes and other.evidence > DECISIVE:
+                    current = other.candidate
+                    break
+        return current
+
+    def _swaps(self, key: str, current: Candidate, baseline: Candidate) -> list[Ranked]:
+        """Other effects in the place of one, ranked against the model with it."""
+        rest = current.model.without(key)
+        likely = self._likely(key, current, baseline)
+        jobs = [(rest + self.library[other](), other) for other in likely]
+        fitted = self._fit_all(f"in the place of {key}", jobs, current)
+        if key in current.refined:
+            # A rival to a refined effect is refined too, or the comparison is not fair.
+            fitted = [(other, self._richer(plain, other)) for other, plain in fitted]
+        samples = effective_samples(
+            min([current, *(c for _, c in fitted)], key=lambda c: c.fitted.weighted).fitted
+        )
+        out = [self._judge(other, c, current, samples) for other, c in fitted]
+        return sorted(out, key=lambda r: -r.evidence)
+
+    def _richer(self, plain: Candidate, key: str) -> Candidate:
+        if plain.failure or not _refinable(plain, key):
+            return plain
+        richer = self.fit(plain.model, plain, refined=(*plain.refined, key))
+        return plain if richer.failure else richer
+
+    def _likely(self, key: str, current: Candidate, baseline: Candidate) -> list[str]:
+        """Effects that may stand in the place of another: alike by nature, or alike alone."""
+        alone = {
+            k: c.fitted.weighted
+            for k in self.library
+            if (c := self.known.get((tuple(sorted((*baseline.keys, k))), ()))) is not None
+            and not c.failure
+        }
+        by_merit = sorted(alone, key=alone.__getitem__)
+        order = [*self.library[key].confused_with, *by_merit] if key in self.library else by_merit
+        unique = dict.fromkeys(k for k in order if k not in current.keys and k in self.library)
+        return list(unique)[:_MOST_SWAPS]
+
+    def _prune(self, current: Candidate, baseline: Candidate) -> Candidate:
+        """Drop what the final model does not need."""
+        for key in [k for k in current.keys if k not in baseline.keys]:
+            if len(current.keys) - len(baseline.keys) < 2:
+                break
+            smaller = self.fit(current.model.without(key), current, refined=current.refined)
+            if smaller.failure:
+                continue
+            extra = len(current.free) - len(smaller.free)
+            samples = effective_samples(current.fitted)
+            if evidence_for(current.fitted, smaller.fitted, extra, samples) < DECISIVE:
+                current = smaller
+        return current
+
+    def _ladder(self, final: Candidate, baseline: Candidate) -> tuple[tuple[str, Candidate], ...]:
+        rungs: list[tuple[str, Candidate]] = []
+        left, below = [k for k in final.keys if k not in baseline.keys], baseline
+        while left:
+            if len(left) == 1:
+                rungs.append((left[0], final))
+                break
+            tried = [
+                (
+                    key,
+                    self.fit(
+                        below.model + _effect_of(final.model, key), final, refined=final.refined
+                    ),
+                )
+                for key in left
+            ]
+            key, below = min(tried, key=lambda pair: pair[1].fitted.weighted)
+            rungs.append((key, below))
+            left.remove(key)
+        return tuple(rungs)
+
+    def _alternatives(
+        self,
+        final: Candidate,
+        baseline: Candidate,
+        added: Sequence[str],
+        steps: Sequence[Step],
+    ) -> dict[str, tuple[Ranked, ...]]:
+        out = {}
+        for key in added:
+            if len(added) == 1 and steps and steps[0].chosen == key:
+                pairs = [(r.key, r.candidate) for r in steps[0].ranking if r.key != key]
+                samples = effective_samples(final.fitted)
+                ranked = [self._judge(k, c, final, samples) for k, c in pairs]
+            else:
+                ranked = self._swaps(key, final, baseline)
+            out[key] = tuple(sorted(ranked, key=lambda r: -r.evidence))
+        return out
+
+
+def held_out_gain(candidate: Candidate, current: Candidate) -> float:
+    """Logarithm of the ratio of the weighted held-out residuals, positive if smaller."""
+    if not current.held_out.by_trial or not candidate.held_out.by_trial:
+        return 0.0
+    if not np.isfinite(candidate.held_out.weighted):
+        return -np.inf
+    return float(np.log(current.held_out.weighted / candidate.held_out.weighted))
+
+
+def baseline(
+    bench: Workbench, model: Model, guess: dict[str, float], *, refined: Sequence[str] = ()
+) -> Candidate:
+    """Fit of the model that the investigation starts from."""
+    starts = []
+    for factor in (1.0, 0.3, 3.0):
+        start = guess | {"K": factor * guess["K"], "B": guess["B"] / factor}
+        starts += starting_values(model, start, most=3 if model.effects else 1)
+    return bench.fit(model, starts, refined=refined)
+
+
+def _effect_of(model: Model, key: str) -> Effect:
+    return next(effect for effect in model.effects if effect.key == key)
+
+
+def _refinable(candidate: Candidate, key: str) -> bool:
+    return key not in candidate.refined and any(
+        p.plain is not None and name.startswith(f"{key}.")
+        for name, p in candidate.model.parameters.items()
+    )
+
+
+def _refinements(model: Model, near: Candidate) -> list[dict[str, float]]:
+    """Starts of the refined model: the plain optimum, and its refinements one way and the other."""
+    starts = [dict(near.values)]
+    for sign in (0.4, -0.4):
+        start = dict(near.values)
+        for name, p in model.parameters.items():
+            if p.plain is not None and name not in near.free:
+                room = (
+                    (p.upper - p.plain) if sign > 0 or p.lower >= p.plain else (p.plain - p.lower)
+                )
+                start[name] = p.plain + np.sign(sign) * min(abs(sign), 1.0) * min(room, 1.0)
+                start[name] = float(np.clip(start[name], p.lower, p.upper))
+        starts.append(start)
+    return starts
+
+
+def _named(candidate: Candidate) -> str:
+    return " + ".join(["KBI", *candidate.keys])

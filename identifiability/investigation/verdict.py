@@ -1,0 +1,263 @@
+"""What the evidence allows to say, and no more."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from identifiability.investigation.candidates import Candidate, effective_samples
+from identifiability.investigation.equivalence import equivalence_set, same_form
+from identifiability.investigation.evidence import Evidence
+from identifiability.investigation.power import Detectable
+from identifiability.investigation.search import DECISIVE, Search
+from identifiability.investigation.unexplained import Unexplained, Variation
+from identifiability.joint.effects.base import Effect
+
+EXPLAINED_SHARE = 0.9
+"""Share of the held-out misfit beyond the noise that named effects must remove to be called the
+explanation: a convention. Equations are never exact, so the floor itself is not asked for."""
+NAMED_SHARE = 0.5
+"""The same where the noise is unknown, and with it the misfit beyond the noise."""
+_NATS = 5.0
+
+KINDS = (
+    "explained",
+    "one_of",
+    "unknown_static",
+    "unknown_memory",
+    "measurement",
+    "unrepeatable",
+    "nothing_missing",
+)
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What is missing from the baseline model.
+
+    Attributes
+    ----------
+    kind : str
+        One of `KINDS`.
+    effects : tuple of str
+        Best name for each missing effect; empty where none is known.
+    equivalence_sets : tuple of tuple of str
+        For each missing effect all that could be it.
+    sentence : str
+    because : tuple of str
+        The evidence, a sentence each.
+    share : float or None
+        Share of the held-out misfit beyond the noise that the named effects remove.
+    smallest_seen : tuple of Detectable
+        Where nothing is missing, the smallest effects that would have been seen.
+    """
+
+    kind: str
+    effects: tuple[str, ...]
+    equivalence_sets: tuple[tuple[str, ...], ...]
+    sentence: str
+    because: tuple[str, ...] = ()
+    share: float | None = None
+    smallest_seen: tuple[Detectable, ...] = field(default=())
+
+
+def judge(
+    evidence: Evidence,
+    search: Search,
+    rest: Unexplained,
+    variation: Variation | None,
+    smallest_seen: Sequence[Detectable],
+    library: Mapping[str, type[Effect]],
+) -> Verdict:
+    """Verdict on what a search found and what it left.
+
+    Parameters
+    ----------
+    evidence : Evidence
+    search : Search
+    rest : Unexplained
+        Library-free account of what the final model leaves.
+    variation : Variation or None
+        Trial-to-trial variation of K and B under the final model.
+    smallest_seen : sequence of Detectable
+        Smallest effects that would have been seen beside the final model.
+    library : mapping of str to type of Effect
+    """
+    baseline, final = search.baseline, search.final
+    sets = tuple(
+        tuple(equivalence_set(key, final, ranked, library))
+        for key, ranked in search.alternatives.items()
+    )
+    names = tuple(s[0] for s in sets)
+    share = _share(evidence, baseline, final)
+    because = [_errors(evidence, baseline, final)]
+    quiet = _quiet(evidence, final, rest)
+    varies = variation is not None and variation.log_evidence_gain > _NATS
+    if not names:
+        return _nothing_named(rest, quiet, varies, variation, because, smallest_seen)
+    because += _reasons(search, sets, library)
+    enough = EXPLAINED_SHARE if evidence.has_noise else NAMED_SHARE
+    measured = all(library[k].place == "sensor" for s in sets for k in s)
+    if not quiet and share is not None and share < enough:
+        return _partly(rest, names, sets, share, because, library)
+    if not quiet:
+        because.append(f"The equations are not exact: {rest.sentence}")
+    if measured:
+        words = _list([library[k].title for k in names])
+        sentence = f"It is the measurement, not the joint: {words}."
+        return Verdict("measurement", names, sets, sentence, tuple(because), share)
+    if all(same_form(s, library) for s in sets):
+        sentence = f"The model misses {_list([_with_equals(s, library) for s in sets])}."
+        return Verdict("explained", names, sets, sentence, tuple(because), share)
+    sentence = f"The model misses {_list([_either(s, library) for s in sets])}."
+    if any(library[k].place == "sensor" for s in sets for k in s):
+        sentence += (
+            " Joint and instruments cannot be told apart here: record a known inertia alone; what"
+            " then remains is the instruments."
+        )
+    return Verdict("one_of", names, sets, sentence, tuple(because), share)
+
+
+def _nothing_named(
+    rest: Unexplained,
+    quiet: bool,
+    varies: bool,
+    variation: Variation | None,
+    because: list[str],
+    smallest_seen: Sequence[Detectable],
+) -> Verdict:
+    if quiet:
+        seen = sorted(smallest_seen, key=lambda d: d.key)
+        sentence = "Nothing is missing that these data could show: the model leaves only noise."
+        because.append(
+            "Smallest effects that would have been seen: "
+            + "; ".join(f"{d.key.replace('_', ' ')}: {d.sentence}" for d in seen)
+            + "."
+        )
+        return Verdict("nothing_missing", (), (), sentence, tuple(because), None, tuple(seen))
+    because.append(rest.sentence)
+    if varies and variation is not None:
+        because.append(variation.sentence)
+        sentence = (
+            "What remains does not repeat from trial to trial: the joint itself varies "
+            f"({variation.sentence.rstrip('.')}), and no effect known here accounts for it."
+        )
+        return Verdict("unrepeatable", (), (), sentence, tuple(because))
+    kind = {
+        "static": "unknown_static",
+        "memory": "unknown_memory",
+        "rectified_memory": "unknown_memory",
+        "sensor": "measurement",
+        "drift": "measurement",
+        "unrepeatable": "unrepeatable",
+        "none": "unrepeatable",
+    }[rest.best]
+    sentence = f"Something is missing, and it is none of the effects known here. {rest.sentence}"
+    return Verdict(kind, (), (), sentence, tuple(because))
+
+
+def _partly(
+    rest: Unexplained,
+    names: tuple[str, ...],
+    sets: tuple[tuple[str, ...], ...],
+    share: float,
+    because: list[str],
+    library: Mapping[str, type[Effect]],
+) -> Verdict:
+    kind = {
+        "static": "unknown_static",
+        "sensor": "measurement",
+        "drift": "measurement",
+        "unrepeatable": "unrepeatable",
+    }.get(rest.best, "unknown_memory")
+    because.append(rest.sentence)
+    sentence = (
+        f"None of the effects known here explains the misfit: the best, "
+        f"{_list([library[k].title for k in names])}, removes {100 * share:.0f} % of it on trials "
+        f"that were not fitted. {rest.sentence}"
+    )
+    because.append(
+        "Named effects that remove only a part may stand for something else: treat them as a clue."
+    )
+    return Verdict(kind, names, sets, sentence, tuple(because), share)
+
+
+def _share(evidence: Evidence, baseline: Candidate, final: Candidate) -> float | None:
+    """Share of the misfit beyond the noise that is gone, on held-out trials where there are any."""
+    held = bool(evidence.held_out)
+    before, after = ((c.held_out if held else c.fitted).error for c in (baseline, final))
+    floor = evidence.noise_floor(evidence.held_out if held else evidence.fitted) or 0.0
+    if before <= floor:
+        return None
+    return float((before - max(after, floor)) / (before - floor))
+
+
+def _quiet(evidence: Evidence, final: Candidate, rest: Unexplained) -> bool:
+    """Whether the model leaves nothing that a library-free torque could explain."""
+    floor = evidence.noise_floor()
+    if floor is not None:
+        slack = 1 + max(
+            3 * evidence.floor_uncertainty(), 3 * np.sqrt(2 / effective_samples(final.fitted))
+        )
+        if final.fitted.error <= floor * slack and rest.share < 0.1:
+            return True
+    return rest.best == "none"
+
+
+def _errors(evidence: Evidence, baseline: Candidate, final: Candidate) -> str:
+    floor = evidence.noise_floor()
+    noise = f"; the noise alone leaves {floor:.2g}" if floor is not None else ""
+    if final is baseline or not final.keys:
+        return (
+            f"The model's error E is {baseline.fitted.error:.3g} on the fitted and "
+            f"{baseline.held_out.error:.3g} on the held-out trials{noise}."
+        )
+    return (
+        f"E falls from {baseline.fitted.error:.3g} to {final.fitted.error:.3g} on the fitted "
+        f"trials and from {baseline.held_out.error:.3g} to {final.held_out.error:.3g} on those "
+        f"held out{noise}."
+    )
+
+
+def _reasons(
+    search: Search, sets: Sequence[Sequence[str]], library: Mapping[str, type[Effect]]
+) -> list[str]:
+    out = []
+    for chosen, members in zip(search.alternatives, sets, strict=True):
+        rivals = [r for r in search.alternatives[chosen] if r.key not in members]
+        if rivals and np.isfinite(rivals[0].evidence):
+            best = max(rivals, key=lambda r: r.evidence)
+            out.append(
+                f"In the place of {_plain(members[0])} the next best is {_plain(best.key)}, worse "
+                f"by {-best.evidence:.0f} (more than {DECISIVE:.0f} is decisive)."
+            )
+        alike = [k for k in members[1:] if k in library[members[0]].equivalent]
+        if alike:
+            out.append(
+                f"{_plain(members[0]).capitalize()} and {_plain(alike[0])} are of one form: torque "
+                "and angle can never tell them apart."
+            )
+    return out
+
+
+def _plain(key: str) -> str:
+    return key.replace("_", " ")
+
+
+def _with_equals(members: Sequence[str], library: Mapping[str, type[Effect]]) -> str:
+    first = library[members[0]].title
+    others = [library[k].title for k in members[1:]]
+    return first + (f" (of the same form: {_list(others)})" if others else "")
+
+
+def _either(members: Sequence[str], library: Mapping[str, type[Effect]]) -> str:
+    titles = [library[k].title for k in members]
+    return titles[0] if len(titles) == 1 else f"one of: {', '.join(titles)}"
+
+
+def _list(words: Sequence[str]) -> str:
+    if len(words) < 2:
+        return "".join(words)
+    return ", ".join(words[:-1]) + " and " + words[-1]

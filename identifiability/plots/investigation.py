@@ -1,0 +1,151 @@
+"""Figures of an investigation's decisions: the ranking of candidates and the error ladder."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+
+from identifiability.inference.widths import Widths
+from identifiability.investigation.investigate import Findings
+from identifiability.investigation.search import DECISIVE, Step
+from identifiability.joint.effects import EFFECTS
+from identifiability.plots.style import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILLION, styled
+
+_FEWEST = 1.0  # evidence below it is drawn at this length: the axis is logarithmic
+
+
+def ranking_figure(step: Step, members: Sequence[str] = ()) -> Figure:
+    """Evidence of every candidate for one step, physics and measurement in two colours.
+
+    Parameters
+    ----------
+    step : Step
+    members : sequence of str
+        Effects that cannot be told apart from the one that was chosen.
+
+    Returns
+    -------
+    Figure
+    """
+    ranked = [r for r in step.ranking if not r.candidate.failure]
+    failed = [r for r in step.ranking if r.candidate.failure]
+    with styled():
+        figure = Figure(figsize=(9.0, 0.36 * len(step.ranking) + 1.9))
+        axes = figure.subplots()
+        for row, r in enumerate(ranked):
+            measured = r.key in EFFECTS and EFFECTS[r.key].place == "sensor"
+            colour = ORANGE if measured else BLUE
+            axes.barh(
+                row,
+                max(r.evidence, _FEWEST),
+                color=colour if r.passes else "none",
+                edgecolor=colour,
+                height=0.68,
+            )
+            mark = "   chosen" if r.key == step.chosen else ""
+            if r.key in members and r.key != step.chosen:
+                mark = "   cannot be told apart from it"
+            held = r.candidate.held_out.error
+            words = f"E held out {held:.2g}{mark}" if np.isfinite(held) else mark.strip()
+            axes.annotate(
+                words,
+                (max(r.evidence, _FEWEST), row),
+                xytext=(5, 0),
+                textcoords="offset points",
+                va="center",
+                fontsize=9,
+                color=BLACK,
+            )
+        for row, _ in enumerate(failed, len(ranked)):
+            axes.annotate("no fit", (_FEWEST, row), va="center", fontsize=9, color=VERMILLION)
+        axes.axvline(DECISIVE, color=GREY, lw=1, ls="--")
+        axes.set_yticks(
+            range(len(step.ranking)), [r.key.replace("_", " ") for r in (*ranked, *failed)]
+        )
+        axes.invert_yaxis()
+        axes.set_xscale("log")
+        top = max([r.evidence for r in ranked] + [10 * DECISIVE])
+        axes.set_xlim(_FEWEST, top**1.5)
+        before = ", ".join(k.replace("_", " ") for k in step.before.keys) or "K, B, I alone"
+        axes.set_xlabel(
+            "evidence for adding it (twice log likelihood less penalty); dashed: decisive"
+        )
+        axes.set_title(f"added to: {before}", loc="left")
+        axes.legend(
+            handles=[
+                Patch(color=BLUE, label="physics"),
+                Patch(color=ORANGE, label="measurement"),
+                Patch(facecolor="none", edgecolor=GREY, label="not admitted"),
+            ],
+            loc="lower right",
+        )
+    return figure
+
+
+def ladder_figure(findings: Findings) -> Figure:
+    """Error on fitted and held-out trials with every effect added, against the noise floor."""
+    search, evidence = findings.search, findings.evidence
+    names = ["K, B, I", *(f"+ {key.replace('_', ' ')}" for key, _ in search.ladder)]
+    rungs = [search.baseline, *(candidate for _, candidate in search.ladder)]
+    with styled():
+        figure = Figure(figsize=(7.5, 4.2))
+        axes = figure.subplots()
+        place = np.arange(len(rungs))
+        axes.plot(place, [c.fitted.error for c in rungs], "o-", color=BLUE, label="fitted trials")
+        if evidence.held_out:
+            held = [c.held_out.error for c in rungs]
+            axes.plot(place, held, "s--", color=VERMILLION, label="held-out trials")
+        floor = evidence.noise_floor()
+        if floor is not None:
+            axes.axhline(floor, color=GREEN, lw=1.5, label="noise floor")
+            share = 2 * evidence.floor_uncertainty()
+            axes.axhspan(
+                floor * max(1 - share, 0.05), floor * (1 + share), color=GREEN, alpha=0.15, lw=0
+            )
+        axes.set_yscale("log")
+        axes.set_xticks(place, names)
+        axes.margins(x=0.15)
+        axes.set_ylabel("error E (Eq. 3), pooled over trials")
+        axes.set_title("Error ladder", loc="left")
+        axes.legend()
+    return figure
+
+
+def widths_figure(result: Widths) -> Figure:
+    """Each parameter's widths side by side, in units of its value."""
+    rows = result.rows
+    with styled():
+        figure = Figure(figsize=(8.5, 0.62 * len(rows) + 1.8))
+        axes = figure.subplots()
+        for i, row in enumerate(rows):
+            size = abs(row.optimum) or 1.0
+            kinds = (
+                (row.slice, GREY, "slice (others held)"),
+                (row.quadratic, VERMILLION, "quadratic (Hessian)"),
+                (row.profile, ORANGE, "profile"),
+                (row.posterior_sd, BLUE, "posterior sd"),
+            )
+            for k, (width, colour, _) in enumerate(kinds):
+                if width is not None and np.isfinite(width) and width > 0:
+                    axes.plot(width / size, i + 0.16 * (k - 1.5), "o", color=colour, ms=7)
+        axes.axvline(1.0, color=BLACK, lw=1, ls=":")
+        axes.set_xscale("log")
+        labels = [f"{r.name.replace('_', ' ')}\n({r.verdict})" for r in rows]
+        axes.set_yticks(range(len(rows)), labels)
+        axes.invert_yaxis()
+        axes.set_xlabel("width over value; dotted: as wide as the value itself")
+        handles = [
+            Line2D([], [], color=colour, marker="o", ls="", label=name)
+            for colour, name in (
+                (GREY, "slice (others held)"),
+                (VERMILLION, "quadratic (Hessian)"),
+                (ORANGE, "profile"),
+                (BLUE, "posterior sd"),
+            )
+        ]
+        figure.legend(handles=handles, loc="outside upper center", ncols=4)
+    return figure

@@ -1,0 +1,319 @@
+"""The report of an investigation: one HTML file that needs no network, and its figures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from matplotlib.figure import Figure
+
+from identifiability.files import write_text
+from identifiability.investigation.investigate import Findings
+from identifiability.investigation.search import DECISIVE, Ranked, Step
+from identifiability.joint.effects import EFFECTS
+from identifiability.plots.investigation import ladder_figure, ranking_figure, widths_figure
+from identifiability.plots.investigation_unexplained import unexplained_figure
+from identifiability.plots.investigation_where import (
+    comparison_figure,
+    overlay_figure,
+    where_figure,
+)
+from identifiability.plots.style import save
+from identifiability.report.page import Page
+
+_KINDS = {
+    "explained": "Explained",
+    "one_of": "One of several effects",
+    "unknown_static": "An unknown effect of the present state",
+    "unknown_memory": "An unknown effect with memory",
+    "measurement": "The measurement",
+    "unrepeatable": "Not repeatable",
+    "nothing_missing": "Nothing missing",
+}
+
+
+def write_report(findings: Findings, record: dict[str, Any], out: Path) -> list[str]:
+    """Write ``report.html`` and the figures in it.
+
+    Parameters
+    ----------
+    findings : Findings
+    record : dict
+        From `identifiability.investigation.record.record`.
+    out : Path
+        An existing folder.
+
+    Returns
+    -------
+    list of str
+        Names of the figure files.
+    """
+    search, verdict = findings.search, findings.verdict
+    page = Page("What does the joint model miss?")
+    written: list[str] = []
+
+    def show(name: str, draw: Callable[[], Figure], caption: str) -> None:
+        # A figure that cannot be drawn must not take the report with it.
+        try:
+            figure = draw()
+        except (ValueError, ArithmeticError, IndexError, KeyError) as error:
+            page.paragraph(f"(This figure could not be drawn: {error}.)")
+            return
+        save(figure, out / f"{name}.png")
+        written.append(f"{name}.png")
+        page.figure(figure, caption, alt=caption)
+
+    evidence = findings.evidence
+    page.paragraph(
+        f"{len(evidence.fitted)} trial(s) fitted, {len(evidence.held_out)} held out "
+        f"({evidence.how_held_out}); {evidence.driven} imposed; {search.n_fits} models fitted."
+    )
+    page.box([_KINDS[verdict.kind] + ".", verdict.sentence])
+    page.items(list(verdict.because))
+
+    page.heading("Data and model")
+    after = search.final if search.final is not search.baseline else None
+    show(
+        "overlay",
+        lambda: overlay_figure(evidence, search.baseline, after),
+        "Measured and predicted responses, and under each what is left.",
+    )
+    if findings.comparison is not None:
+        comparison = findings.comparison
+        page.paragraph(
+            "If the model is right, K, B and I are the same for every window, amplitude, direction "
+            "and kind of trial."
+        )
+        page.items(list(comparison.sentences))
+        show(
+            "comparison",
+            lambda: comparison_figure(comparison),
+            "K, B and I of the baseline model, fitted to parts of the trials.",
+        )
+    if findings.location is not None:
+        location = findings.location
+        page.heading("Where the baseline fails")
+        page.items(list(location.sentences))
+        show("where", lambda: where_figure(location), "Where the residual exceeds the noise.")
+
+    page.heading("Which effect is missing")
+    sets = dict(zip(search.alternatives, verdict.equivalence_sets, strict=False))
+    for number, step in enumerate(search.steps, 1):
+        show(
+            f"ranking_{number}",
+            lambda step=step: ranking_figure(step, sets.get(step.chosen, ())),  # type: ignore[misc]
+            f"Step {number}: every effect added to the model and fitted anew. Evidence above "
+            f"{DECISIVE:.0f} is decisive; an effect is admitted if the held-out trials agree.",
+        )
+        _ranking_table(page, step)
+    page.paragraph(f"The search ended because {search.ended}.")
+    if search.alternatives and len(search.ladder) > 1:
+        page.paragraph("In the place of each effect of the final model, the best others:")
+        rows = [
+            [
+                key.replace("_", " "),
+                r.key.replace("_", " "),
+                f"{r.evidence:.1f}",
+                f"{r.candidate.held_out.error:.3g}",
+            ]
+            for key, ranked in search.alternatives.items()
+            for r in ranked[:4]
+            if not r.candidate.failure
+        ]
+        page.table(
+            ["in the place of", "effect", "evidence against the final model", "E held out"],
+            rows,
+            text_columns=(0, 1),
+        )
+
+    page.heading("Error ladder")
+    show(
+        "ladder",
+        lambda: ladder_figure(findings),
+        "Error of the model with every effect added, on trials that were fitted and on those that "
+        "were not.",
+    )
+    floor = record["baseline"]["noise_floor"]
+    rows = [["K, B, I", _number(record["baseline"]["error_fit"])]]
+    rows[0].append(_number(record["baseline"]["error_held_out"]))
+    for step_record in record["steps"]:
+        rows.append(
+            [
+                "+ " + step_record["added"].replace("_", " "),
+                _number(step_record["error_fit"]),
+                _number(step_record["error_held_out"]),
+            ]
+        )
+    rows.append(
+        ["noise floor", _number(floor), _number(record["baseline"]["noise_floor_held_out"])]
+    )
+    page.table(["model", "E fitted", "E held out"], rows)
+
+    page.heading("Unexplained torque")
+    before = findings.unexplained_before
+    if before is not None:
+        page.paragraph(f"Baseline. {before.sentence}")
+        show(
+            "unexplained_baseline",
+            lambda: unexplained_figure(before),
+            "What the baseline lacks, with nothing assumed but its family.",
+        )
+    if findings.unexplained_after is not before:
+        page.paragraph(f"Final model. {findings.unexplained_after.sentence}")
+        show(
+            "unexplained_final",
+            lambda: unexplained_figure(findings.unexplained_after),
+            "What the final model still lacks.",
+        )
+    if findings.variation is not None:
+        page.paragraph(findings.variation.sentence)
+
+    page.heading("Parameters and their widths")
+    if findings.widths is None:
+        page.paragraph("Widths were not computed.")
+        _values_table(page, search.final.values, search.final.model.parameters)
+    else:
+        found = findings.widths
+        _widths_table(page, found, search.final.model.parameters)
+        show("widths", lambda: widths_figure(found), "Widths over values of all parameters.")
+
+    page.heading("Next experiment")
+    following = findings.next_experiment
+    if following is None:
+        page.paragraph(
+            "Nothing is open between effects that an experiment could separate."
+            if verdict.kind in ("explained", "nothing_missing")
+            else "No pair of named effects is left that an experiment could separate."
+        )
+    else:
+        page.paragraph(following.sentence)
+        page.table(
+            ["perturbation", "expected evidence a trial", "largest angle [rad]"],
+            [
+                [d.perturbation, f"{d.expected_evidence:.3g}", f"{d.peak_angle:.3g}"]
+                for d in (following.best, *following.others)
+            ],
+            text_columns=(0,),
+            marked=("chosen",),
+        )
+
+    page.heading("How this was computed")
+    page.items(
+        [
+            f"identifiability {record['package']}, seed {record['seed']}",
+            f"data SHA-256 {record['data_sha256']}",
+            "E is the summed squared residual over the summed squared response of a trial (Eq. 3 of "
+            "Kistemaker & Rozendaal 2011), averaged over trials.",
+            "Evidence is the number of independent samples times the logarithm of the ratio of "
+            "residuals, less the penalty of the Bayesian information criterion.",
+        ]
+    )
+    if record["command"]:
+        page.code(record["command"])
+    page.table(
+        ["trial", "role", "samples", "rate [Hz]", "noise sd", "what was done to it"],
+        [
+            [
+                t["name"],
+                t["role"],
+                str(t["samples"]),
+                f"{t['sampling_rate']:.0f}",
+                _number(t["noise_sd"]),
+                "; ".join(t["notes"]),
+            ]
+            for t in record["trials"]
+        ],
+        text_columns=(0, 1, 5),
+    )
+    if findings.warnings:
+        page.heading("What could not be done")
+        page.items(list(findings.warnings))
+    write_text(out / "report.html", page.render())
+    return written
+
+
+def _ranking_table(page: Page, step: Step) -> None:
+    rows, marked = [], []
+    for r in step.ranking:
+        marked.append("chosen" if r.key == step.chosen else "failed" if r.candidate.failure else "")
+        rows.append(_ranking_row(r))
+    page.table(
+        ["effect", "kind", "evidence", "E fitted", "E held out", "parameters", "remarks"],
+        rows,
+        marked=marked,
+        text_columns=(0, 1, 5, 6),
+    )
+
+
+def _ranking_row(r: Ranked) -> list[str]:
+    kind = "measurement" if r.key in EFFECTS and EFFECTS[r.key].place == "sensor" else "physics"
+    if r.candidate.failure:
+        return [r.key.replace("_", " "), kind, "", "", "", "", f"no fit: {r.candidate.failure}"]
+    parameters = r.candidate.model.parameters
+    values = ", ".join(
+        f"{name.split('.')[1].replace('_', ' ')} {value:.3g} {parameters[name].unit}".rstrip(" 1")
+        if parameters[name].unit == "1"
+        else f"{name.split('.')[1].replace('_', ' ')} {value:.3g} {parameters[name].unit}"
+        for name, value in r.candidate.values.items()
+        if name.startswith(f"{r.key}.") and name in r.candidate.free
+    )
+    remarks = [r.reason] if r.reason else []
+    if not r.candidate.thorough:
+        remarks.append("fell behind after a glance")
+    own = [n for n in r.candidate.at_bound if n.startswith(f"{r.key}.")]
+    if own and r.evidence > 0:
+        remarks.append(f"at a bound: {', '.join(n.split('.')[1].replace('_', ' ') for n in own)}")
+    return [
+        r.key.replace("_", " "),
+        kind,
+        f"{r.evidence:.1f}",
+        f"{r.candidate.fitted.error:.3g}",
+        f"{r.candidate.held_out.error:.3g}" if r.candidate.held_out.by_trial else "",
+        values,
+        "; ".join(remarks),
+    ]
+
+
+def _values_table(page: Page, values: Any, parameters: Any) -> None:
+    page.table(
+        ["parameter", "value", "unit"],
+        [[n, f"{v:.4g}", parameters[n].unit] for n, v in values.items()],
+        text_columns=(2,),
+    )
+
+
+def _widths_table(page: Page, found: Any, parameters: Any) -> None:
+    rows = [
+        [
+            row.name.replace("_", " "),
+            f"{row.optimum:.4g}",
+            parameters[row.name].unit,
+            _number(row.slice),
+            _number(row.quadratic),
+            _number(row.profile),
+            _number(row.posterior_sd),
+            "{:.4g} to {:.4g}".format(*row.posterior_95),
+            f"{row.verdict}: {row.reason}",
+        ]
+        for row in found.rows
+    ]
+    page.table(
+        [
+            "parameter",
+            "value",
+            "unit",
+            "slice",
+            "quadratic",
+            "profile",
+            "posterior sd",
+            "95 %",
+            "verdict",
+        ],
+        rows,
+        text_columns=(2, 8),
+    )
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None else f"{value:.3g}"

@@ -1,0 +1,440 @@
+"""Each effect against its written-out equation: solved by SciPy, or in closed form."""
+
+import numpy as np
+import pytest
+import scipy.optimize
+import scipy.signal
+from oracles import agree, by_ode, impulse_by_residues, method_of_steps
+
+from identifiability.joint.effects import EFFECTS
+from identifiability.joint.effects.base import Motion
+from identifiability.joint.model import KBI
+from identifiability.joint.response import simulate
+from identifiability.measurement.perturbations import Drive, Impulse, Sinusoid, imposed_motion
+
+TIME = np.linspace(0.0, 0.1, 101)
+INTERVAL = 1e-3
+K, B, I = 50.0, 2.0, 0.1
+SINUSOID = Sinusoid(period=0.1).drive(TIME)
+# To 0.05 rad and back; the spline through its samples is the polynomial itself.
+THERE_AND_BACK = 0.05 * 16e4 * np.polynomial.Polynomial([0, 0, 0.01, -0.2, 1.0])
+
+
+def applied(t):
+    return 20 * np.sin(2 * np.pi * t / 0.1)
+
+
+def joint(*keys):
+    model = KBI()
+    for key in keys:
+        model = model + EFFECTS[key]()
+    return model
+
+
+def values_of(model, K=K, B=B, I=I, **own):
+    """Parameter vector; the only effect's parameters by their own names, others as nominal."""
+    values = dict(zip(model.parameter_names, model.nominal, strict=True))
+    values |= {"K": K, "B": B, "I": I}
+    for name, value in own.items():
+        values |= {full: value for full in values if full.split(".")[-1] == name}
+    return model.vector(values)
+
+
+def response(key, drive, *, substeps=None, K=K, B=B, I=I, **own):
+    model = joint(key)
+    return simulate(model, values_of(model, K, B, I, **own), drive, substeps=substeps)
+
+
+def recorded(key, p, signal):
+    return np.asarray(EFFECTS[key]().record(np.array(p), np.asarray(signal), INTERVAL))
+
+
+def ramp(velocity):
+    return imposed_motion(TIME, velocity * TIME)
+
+
+def hill(w):
+    """Change of a muscle's force when it lengthens at w maximal shortening velocities."""
+    if w < 0:
+        return (1 + w) / (1 - 4 * w) - 1
+    return 0.4 * w / (w + 0.08)
+
+
+def hill_torque(v, strength, fastest, asymmetry):
+    pull, push = hill(v / fastest), hill(-v / fastest)
+    return strength * ((1 + asymmetry) * pull - (1 - asymmetry) * push) / 2
+
+
+# Every effect in the joint without delay: its parameters, its number of states, its torque and the
+# rates of its states as functions of angle, velocity and states.
+OMEGA = 2 * np.pi * 12.0
+EQUATIONS = {
+    "activation_lag": (
+        {"gain": 30.0, "time_constant": 0.02},
+        1,
+        lambda q, v, z: 30 * z[0],
+        lambda q, v, z: [(q - z[0]) / 0.02],
+    ),
+    "coulomb_friction": (
+        {"torque": 1.0, "velocity": 0.05, "breakaway": 0.5},
+        0,
+        lambda q, v, z: np.tanh(v / 0.05) * (1 + 0.5 * np.exp(-((v / 0.1) ** 2))),
+        lambda q, v, z: [],
+    ),
+    "cubic_stiffness": (
+        {"coefficient": 3000.0},
+        0,
+        lambda q, v, z: 3000 * q**3,
+        lambda q, v, z: [],
+    ),
+    "gravity": (
+        {"moment": 40.0, "posture": 0.5},
+        0,
+        lambda q, v, z: 40 * (np.sin(0.5 + q) - np.sin(0.5)),
+        lambda q, v, z: [],
+    ),
+    "hill_force_velocity": (
+        {"strength": 10.0, "max_velocity": 5.0, "asymmetry": 0.4},
+        0,
+        lambda q, v, z: hill_torque(v, 10.0, 5.0, 0.4),
+        lambda q, v, z: [],
+    ),
+    "maxwell_branch": (
+        {"stiffness": 80.0, "time_constant": 0.02},
+        1,
+        lambda q, v, z: 80 * (q - z[0]),
+        lambda q, v, z: [(q - z[0]) / 0.02],
+    ),
+    "quadratic_stiffness": (
+        {"coefficient": 100.0},
+        0,
+        lambda q, v, z: 100 * q**2,
+        lambda q, v, z: [],
+    ),
+    "second_mass": (
+        {"inertia": 0.03, "frequency": 12.0, "damping_ratio": 0.2},
+        2,
+        lambda q, v, z: 0.03 * OMEGA * (OMEGA * (q - z[0]) + 0.4 * (v - z[1])),
+        lambda q, v, z: [z[1], OMEGA * (OMEGA * (q - z[0]) + 0.4 * (v - z[1]))],
+    ),
+    "short_range_stiffness": (
+        {"stiffness": 100.0, "range": 0.03, "renewal": 20.0},
+        1,
+        lambda q, v, z: 100 * z[0],
+        lambda q, v, z: [v - abs(v) * z[0] / 0.03 - 20 * z[0]],
+    ),
+}
+
+
+@pytest.mark.parametrize("key", EQUATIONS)
+def test_motion_under_a_torque_is_that_of_the_equation(key):
+    own, n, torque, rates = EQUATIONS[key]
+
+    def system(t, x):
+        q, v, z = x[0], x[1], x[2:]
+        return [v, (applied(t) - K * q - B * v - torque(q, v, z)) / I, *rates(q, v, z)]
+
+    expected = by_ode(system, np.zeros(2 + n), TIME)[0]
+    substeps = None if joint(key).linear else 4
+    agree(response(key, SINUSOID, substeps=substeps, **own), expected, 1e-6)
+    # The equation is not that of the joint alone.
+    assert np.max(np.abs(simulate(KBI(), (K, B, I), SINUSOID) - expected)) > 0.003
+
+
+@pytest.mark.parametrize("key", EQUATIONS)
+def test_torque_of_an_imposed_angle_is_that_of_the_equation(key):
+    own, n, torque, rates = EQUATIONS[key]
+    angle, velocity = THERE_AND_BACK, THERE_AND_BACK.deriv()
+    states = np.zeros((n, TIME.size))
+    if n:
+        states = by_ode(lambda t, z: rates(angle(t), velocity(t), z), np.zeros(n), TIME)
+    q, v, a = angle(TIME), velocity(TIME), angle.deriv(2)(TIME)
+    alone = K * q + B * v + I * a
+    expected = alone + [torque(*now) for now in zip(q, v, states.T, strict=True)]
+    drive = imposed_motion(TIME, angle(TIME))
+    substeps = None if joint(key).linear else 4
+    agree(response(key, drive, substeps=substeps, **own), expected, 1e-6)
+    assert np.max(np.abs(expected - alone)) > 0.1
+
+
+# Linear effects
+
+
+def test_transfer_functions():
+    """Impulse responses by residues: angle over torque is the inverse of the impedance."""
+    second, lag = np.array([I, B, K]), np.array([0.02, 1.0])
+    k, c = 0.03 * OMEGA**2, 2 * 0.2 * 0.03 * OMEGA
+    wobble = np.array([0.03, c, k])
+    systems = {
+        "activation_lag": (lag, np.polyadd(np.polymul(second, lag), [30.0])),
+        "maxwell_branch": (lag, np.polyadd(np.polymul(second, lag), [80.0 * 0.02, 0.0])),
+        "second_mass": (
+            wobble,
+            np.polyadd(np.polymul(second, wobble), np.polymul([0.03, 0.0, 0.0], [c, k])),
+        ),
+    }
+    for key, (numerator, denominator) in systems.items():
+        expected = impulse_by_residues(scipy.signal.lti(numerator, denominator), TIME)
+        agree(response(key, Impulse(1.0).drive(TIME), **EQUATIONS[key][0]), expected, 1e-9)
+
+
+def test_a_linear_tendon_has_the_form_of_a_maxwell_branch():
+    """(K + B s) K_SE / (K + B s + K_SE), in partial fractions: stiffness that relaxes from K_SE."""
+    tendon = 120.0
+    late = K * tendon / (K + tendon)
+    expected = response("series_tendon", SINUSOID, stiffness=tendon)
+    own = {"stiffness": tendon - late, "time_constant": B / (K + tendon)}
+    agree(response("maxwell_branch", SINUSOID, K=late, B=0.0, **own), expected, 1e-9)
+
+
+# Friction, force-velocity, short-range stiffness
+
+
+def test_friction_while_sliding_is_constant():
+    for speed in (-3.0, -1.0, 1.0, 3.0):
+        found = response("coulomb_friction", ramp(speed), substeps=1, torque=0.7, breakaway=0.5)
+        agree(found - K * speed * TIME - B * speed, np.full(TIME.size, np.sign(speed) * 0.7), 1e-9)
+    # Where it breaks away it is larger: at 0.1 rad/s by breakaway/e.
+    own = {"torque": 0.7, "velocity": 0.002, "breakaway": 0.5}
+    found = response("coulomb_friction", ramp(0.1), substeps=1, K=0.0, B=0.0, **own)
+    agree(found, np.full(TIME.size, 0.7 * (1 + 0.5 / np.e)), 1e-9)
+
+
+def test_friction_dissipates_the_work_of_a_constant_torque():
+    drive = imposed_motion(TIME, THERE_AND_BACK(TIME))
+    own = {"torque": 0.7, "velocity": 0.002, "breakaway": 0.0}
+    torque = response("coulomb_friction", drive, substeps=1, K=0.0, B=0.0, I=1e-12, **own)
+    power = torque * THERE_AND_BACK.deriv()(TIME)
+    assert np.all(power >= -1e-9)
+    np.testing.assert_allclose(np.trapezoid(power, TIME), 0.7 * 2 * 0.05, rtol=2e-3)
+
+
+def test_hill_relation_has_its_known_values():
+    def torque(velocity, asymmetry):
+        own = {"strength": 10.0, "max_velocity": 5.0, "asymmetry": asymmetry}
+        return response("hill_force_velocity", ramp(velocity), substeps=1, K=0.0, B=0.0, **own)[0]
+
+    # A single muscle: no force left at its fastest shortening, 1.4 times its force far beyond.
+    np.testing.assert_allclose(torque(-5.0, 1.0), -10.0, rtol=1e-9)
+    np.testing.assert_allclose(torque(5e5, 1.0), 4.0, rtol=1e-5)
+    np.testing.assert_allclose(torque(5.0, -1.0), 10.0, rtol=1e-9)
+    # One slope at rest, 1 + 1/0.25 from either side; a pair has the same.
+    for velocity in (-5e-7, 5e-7):
+        for asymmetry in (-1.0, 0.0, 0.3, 1.0):
+            np.testing.assert_allclose(torque(velocity, asymmetry) / velocity, 10.0, rtol=1e-5)
+    assert torque(0.0, 0.3) == 0.0
+    # A balanced pair is odd in the velocity; damping saturates.
+    assert torque(-3.0, 0.0) == -torque(3.0, 0.0)
+    np.testing.assert_allclose(torque(3.0, 0.0), 5 * (hill(0.6) - hill(-0.6)), rtol=1e-9)
+
+
+def test_short_range_stiffness_stretches_then_yields():
+    own = {"stiffness": 100.0, "range": 0.02, "renewal": 0.0}
+    for speed in (-2.0, 2.0):
+        found = response("short_range_stiffness", ramp(speed), substeps=4, K=0.0, B=0.0, **own)
+        moved = np.abs(speed) * TIME
+        expected = np.sign(speed) * 100 * 0.02 * (1 - np.exp(-moved / 0.02))
+        agree(found, expected, 1e-6)
+        # At 0.2 rad, ten times its range, it has yielded.
+        np.testing.assert_allclose(np.abs(found[-1]), 2.0, rtol=1e-4)
+    # Elastic for motion that is small beside its range.
+    small = 1e-5 * np.sin(2 * np.pi * 20 * TIME) ** 2
+    found = response(
+        "short_range_stiffness", imposed_motion(TIME, small), substeps=1, K=0.0, B=0.0, I=1e-9, **own
+    )
+    agree(found, 100 * small, 2e-3)
+
+
+# The stretch reflex
+
+GAINS = {"position_gain": 40.0, "velocity_gain": 2.0, "delay": 0.02, "time_constant": 0.015}
+
+
+def imposed_step(size, back=None):
+    """An angle that jumps to `size` at 20 ms, and back to 0 at a sample `back`."""
+    states = np.zeros((TIME.size, 6))
+    states[20:back, 0] = size
+    return Drive(INTERVAL, np.eye(6, k=1), np.eye(6)[:3], states, np.zeros(TIME.size))
+
+
+def reflex_torque(drive, **own):
+    gains = GAINS | {"asymmetry": 0.0, "threshold": 0.0, "off_ratio": 1.0} | own
+    return response("stretch_reflex", drive, substeps=4, K=0.0, B=0.0, **gains)
+
+
+def second_order(time, tau):
+    since = np.maximum(time, 0.0) / tau
+    return 1 - (1 + since) * np.exp(-since)
+
+
+def test_reflex_to_a_step_comes_late_and_rises_in_second_order():
+    found = reflex_torque(imposed_step(0.1))
+    assert np.all(found[:40] == 0.0)
+    expected = 40 * 0.1 * second_order(TIME - 0.04, 0.015)
+    # The jump may be felt a quarter of a sample early or late.
+    agree(found, expected, 5e-3)
+    # With a delay inside a step, too.
+    found = reflex_torque(imposed_step(0.1), delay=0.0203)
+    agree(found, 4 * second_order(TIME - 0.0403, 0.015), 5e-3)
+
+
+def test_reflex_with_asymmetry_answers_one_direction_more():
+    both = reflex_torque(imposed_step(0.1))
+    for asymmetry, up, down in ((1.0, 1.0, 0.0), (-1.0, 0.0, 1.0), (0.4, 1.0, 0.6)):
+        found = reflex_torque(imposed_step(0.1), asymmetry=asymmetry)
+        np.testing.assert_allclose(found, up * both, atol=1e-12)
+        found = reflex_torque(imposed_step(-0.1), asymmetry=asymmetry)
+        np.testing.assert_allclose(found, -down * both, atol=1e-12)
+
+
+def test_reflex_threshold_is_a_stretch_velocity():
+    for speed in (-1.5, 1.5):
+        silent = reflex_torque(ramp(speed), position_gain=0.0, threshold=1.6)
+        np.testing.assert_allclose(silent, 0.0, atol=1e-9)
+        found = reflex_torque(ramp(speed), position_gain=0.0, threshold=0.5)
+        expected = np.sign(speed) * 2 * (1.5 - 0.5) * second_order(TIME - 0.02, 0.015)
+        agree(found, expected, 5e-3)
+
+
+def test_reflex_relaxes_more_slowly_than_it_rises():
+    found = reflex_torque(imposed_step(0.1, back=50), off_ratio=3.0)
+    up, down = 0.04, 0.07
+
+    def rates(t, a):
+        gaps = (4.0 if up <= t < down else 0.0) - a[0], a[0] - a[1]
+        return [gap / (0.015 if gap > 0 else 0.045) for gap in gaps]
+
+    agree(found, by_ode(rates, np.zeros(2), TIME, edges=(up, down))[1], 5e-3)
+    assert found[-1] > 1.5 * reflex_torque(imposed_step(0.1, back=50))[-1]
+
+
+def test_motion_with_a_reflex_is_that_of_the_delay_equation():
+    refined = {"asymmetry": 0.4, "threshold": 0.3, "off_ratio": 2.0}
+
+    def follow(target, state):
+        gap = target - state
+        return gap / (0.015 if gap > 0 else 0.03)
+
+    def rates(t, x, past):
+        signal = 40 * past[0] + 2 * past[1]
+        pull, push = max(signal - 0.6, 0.0), 0.6 * max(-signal - 0.6, 0.0)
+        torque = applied(t) - K * x[0] - B * x[1] - (x[3] - x[5])
+        muscles = [follow(pull, x[2]), follow(x[2], x[3]), follow(push, x[4]), follow(x[4], x[5])]
+        return [x[1], torque / I, *muscles]
+
+    expected = method_of_steps(rates, np.zeros(6), TIME, 0.02, rtol=1e-9)[0]
+    found = response("stretch_reflex", SINUSOID, substeps=4, **GAINS, **refined)
+    # Its corners fall inside steps.
+    agree(found, expected, 1e-5)
+    assert np.max(np.abs(response("stretch_reflex", SINUSOID, substeps=4, **GAINS) - found)) > 1e-3
+
+
+# The nonlinear tendon
+
+
+def nonlinear_tension(x, stiffness, hardening, asymmetry):
+    """Two exponential tendons, one taut at either side, of shares (1 +- asymmetry)/2."""
+    pull, push = np.expm1(hardening * x), np.expm1(-hardening * x)
+    return stiffness / hardening * ((1 + asymmetry) * pull - (1 - asymmetry) * push) / 2
+
+
+@pytest.mark.parametrize("asymmetry", [-1.0, 0.0, 0.3, 1.0])
+def test_nonlinear_tendon_is_a_pair_of_exponential_tendons(asymmetry):
+    effect, stretch = EFFECTS["nonlinear_tendon"](), np.linspace(-0.1, 0.1, 21)
+    for hardening in (1e-3, 10.0, 60.0):
+        p = (200.0, hardening, asymmetry)
+        found = effect.torque(p, Motion(stretch, 0.0), np.zeros(0), Motion(0.0, 0.0))
+        agree(found, nonlinear_tension(stretch, *p), 1e-10)
+
+
+def test_without_hardening_the_nonlinear_tendon_is_linear():
+    expected = response("series_tendon", SINUSOID, stiffness=120.0)
+    for asymmetry in (0.0, 1.0):
+        own = {"stiffness": 120.0, "hardening": 0.0, "asymmetry": asymmetry}
+        agree(response("nonlinear_tendon", SINUSOID, substeps=4, **own), expected, 1e-6)
+
+
+def test_hill_muscle_with_a_nonlinear_tendon_carries_its_tension():
+    """The element's velocity is the root of the balance of torques, found here by bisection."""
+    tendon, muscle, damping = (120.0, 20.0, 0.3), (10.0, 5.0, 0.4), 0.1
+    model = joint("hill_force_velocity", "nonlinear_tendon")
+    own = (*muscle, *tendon)
+    assert [n.split(".")[0] for n in model.parameter_names[3:]] == [
+        *["hill_force_velocity"] * 3,
+        *["nonlinear_tendon"] * 3,
+    ]
+
+    def rates(t, state):
+        q, v, x = state
+        tension = nonlinear_tension(q - x, *tendon)
+
+        def excess(w):
+            return K * x + damping * w + hill_torque(w, *muscle) - tension
+
+        w = scipy.optimize.brentq(excess, -1e4, 1e4, xtol=1e-12, rtol=1e-14)
+        return [v, (applied(t) - tension) / I, w]
+
+    expected = by_ode(rates, np.zeros(3), TIME, rtol=1e-9)[0]
+    found = simulate(model, np.array([K, damping, I, *own]), SINUSOID, substeps=4)
+    agree(found, expected, 1e-6)
+
+
+def test_short_range_stiffness_with_a_tendon_sees_the_muscles_motion():
+    model = joint("series_tendon", "short_range_stiffness")
+
+    def rates(t, state):
+        q, v, x, z = state
+        tension = 120 * (q - x)
+        w = (tension - K * x - 100 * z) / B
+        return [v, (applied(t) - tension) / I, w, w - abs(w) * z / 0.03 - 20 * z]
+
+    expected = by_ode(rates, np.zeros(4), TIME)[0]
+    values = np.array([K, B, I, 120.0, 100.0, 0.03, 20.0])
+    agree(simulate(model, values, SINUSOID, substeps=4), expected, 1e-6)
+
+
+# Sensors
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.0004, 0.003, 0.0105, -0.0004, -0.0077])
+def test_sensor_delay_shifts_a_cubic_exactly(delay):
+    cubic = np.polynomial.Polynomial([0.02, 1.0, -8.0, 90.0])
+    found = recorded("sensor_delay", [delay], cubic(TIME))
+    # Where the four samples around the delayed time are in the record.
+    place = TIME / INTERVAL - delay / INTERVAL
+    inside = (place >= 1) & (place <= TIME.size - 3)
+    assert inside.sum() > 80
+    agree(found[inside], cubic(TIME - delay)[inside], 1e-12)
+    # Before it the joint was at rest where it begins.
+    before = place < -2
+    assert np.all(np.abs(found[before] - 0.02) < 1e-12)
+
+
+def test_sensor_lowpass_of_a_ramp_and_a_step():
+    tau = 0.007
+    ramp_answer = TIME - tau + tau * np.exp(-TIME / tau)
+    agree(recorded("sensor_lowpass", [tau, 0.0], TIME), ramp_answer, 1e-12)
+    # A step is a ramp of one interval.
+    step = np.minimum(TIME / INTERVAL, 1.0)
+    expected = np.diff(ramp_answer, prepend=0.0) / INTERVAL
+    agree(recorded("sensor_lowpass", [tau, 0.0], step), expected, 1e-12)
+    # Either pole may be the second; a steady signal passes as it is.
+    swapped = recorded("sensor_lowpass", [0.0, tau], TIME)
+    agree(swapped, ramp_answer, 1e-12)
+    agree(recorded("sensor_lowpass", [tau, 0.02], np.full(TIME.size, 0.3)), [0.3] * 101, 1e-12)
+    agree(recorded("sensor_lowpass", [0.0, 0.0], step), step, 1e-15)
+
+
+def test_sensor_lowpass_of_two_poles():
+    fast, slow = 0.004, 0.01
+    decay = (slow**2 * np.exp(-TIME / slow) - fast**2 * np.exp(-TIME / fast)) / (slow - fast)
+    expected = TIME - fast - slow + decay
+    # What leaves the first pole is taken as linear between samples.
+    agree(recorded("sensor_lowpass", [fast, slow], TIME), expected, 2e-4)
+
+
+@pytest.mark.parametrize("drive", [SINUSOID, ramp(0.3)], ids=["torque", "angle"])
+def test_sensor_drift_is_a_parabola_in_the_units_of_the_response(drive):
+    found = response("sensor_drift", drive, rate=0.2, bend=-0.7)
+    expected = simulate(KBI(), (K, B, I), drive) + 0.2 * TIME - 0.7 * TIME**2
+    agree(found, expected, 1e-12)
