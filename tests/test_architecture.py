@@ -19,6 +19,7 @@ LAYERS = (
     ("joint",),
     ("inference",),
     ("study", "investigation"),
+    ("benchmark",),
     ("plots",),
     ("report", "workbench"),
     ("cli",),

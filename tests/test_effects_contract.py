@@ -344,6 +344,15 @@ def test_only_a_negative_sensor_delay_answers_before_its_cause():
     assert cut - 22 <= answered <= cut - 18
 
 
+def test_a_held_angle_is_at_rest(effect):
+    if effect.key == "sensor_drift":
+        pytest.skip("it drifts")
+    model, drive = KBI() + effect, imposed_motion(TIME, np.full(TIME.size, 0.1))
+    torque = respond(model, values_of(model), drive)
+    agree(torque, np.full(TIME.size, torque[-1]), 1e-9)
+    assert torque[-1] > 1.0
+
+
 def box(effect):
     """Parameter vectors: every combination of each parameter's bounds and nominal value."""
     spans = []

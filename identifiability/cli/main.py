@@ -15,14 +15,14 @@ USAGE, PARTIAL, INTERRUPTED = 2, 3, 130
 
 def parser() -> argparse.ArgumentParser:
     """Build the parser with all subcommands."""
-    from identifiability.cli import atlas, demo, fit, investigate, paper, widths
+    from identifiability.cli import atlas, benchmark, demo, fit, investigate, paper, widths
 
     top = argparse.ArgumentParser(
         prog="identifiability",
         description="Can the stiffness, damping and inertia fitted to a joint be believed?",
     )
     commands = top.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for module in (demo, fit, investigate, widths, paper, atlas):
+    for module in (demo, fit, investigate, widths, paper, atlas, benchmark):
         module.add_parser(commands)
     return top
 

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from identifiability.errors import InputError
+from identifiability.inference.problem import Prior, Problem
 from identifiability.inference.recordings import (
     LOWPASS_HZ,
     first_guess,
     integrated_autocorrelation,
 )
-from identifiability.inference.problem import Prior, Problem
 from identifiability.inference.widths import Widths, widths
 from identifiability.investigation.candidates import Candidate, Workbench, owners
 from identifiability.investigation.compare import Comparison, compare
@@ -32,7 +32,6 @@ from identifiability.investigation.unexplained import Unexplained, Variation, un
 from identifiability.investigation.verdict import Verdict, judge
 from identifiability.joint.effects import EFFECTS, Effect
 from identifiability.joint.model import KBI, Model
-from identifiability.measurement.noise import Noise
 from identifiability.measurement.trials import Trial
 
 Progress = Callable[[str, int, int], None]
@@ -201,7 +200,7 @@ class Investigation:
         limits: Limits | None = None,
         seed: int = 1,
     ) -> NextExperiment | None:
-        """Perturbation that would tell apart what these data cannot; ``None`` if nothing is open."""
+        """Perturbation that would tell apart what these data cannot; ``None`` if none is open."""
         for chosen, members in zip(search.alternatives, verdict.equivalence_sets, strict=False):
             for ranked in search.alternatives[chosen]:
                 if ranked.key in members and ranked.key not in self.library[chosen].equivalent:

@@ -14,9 +14,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import cho_solve, cholesky, solve_triangular
+from scipy.linalg import cholesky, solve_triangular
 
 _JITTER = 1e-9
 
@@ -76,7 +77,7 @@ class Noise:
         )
 
 
-def eliminate(products: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, float]:
+def eliminate(products: np.ndarray, covariance: np.ndarray) -> Eliminated:
     """Integrate the first weights out.
 
     Parameters
@@ -85,23 +86,42 @@ def eliminate(products: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray,
         Inner products of the columns, those of the weights to be eliminated first.
     covariance : array, shape (k, k)
         Prior covariance of these weights.
-
-    Returns
-    -------
-    array, shape (m - k, m - k)
-        Inner products of the other columns under the covariance that now has these weights' share.
-    float
-        Logarithm of the ratio of the determinants of that covariance and the one before.
     """
     k = len(covariance)
-    if k == 0:
-        return products, 0.0
     root = _root(covariance)
     core = root.T @ products[:k, :k] @ root
     core.flat[:: k + 1] += 1.0
     lower = cholesky(core, lower=True, check_finite=False)
     across = solve_triangular(lower, root.T @ products[:k, k:], lower=True, check_finite=False)
-    return products[k:, k:] - across.T @ across, 2 * float(np.sum(np.log(np.diag(lower))))
+    change = 2 * float(np.sum(np.log(np.diag(lower))))
+    return Eliminated(products[k:, k:] - across.T @ across, change, root, lower, across)
+
+
+class Eliminated(NamedTuple):
+    """What is left when weights have been integrated out.
+
+    Attributes
+    ----------
+    products : array, shape (m - k, m - k)
+        Inner products of the other columns, under a covariance that holds the weights' share too.
+    change : float
+        By how much the logarithm of that covariance's determinant grew.
+    root, lower, across : array
+        Factors, of which the weights' posterior is made.
+    """
+
+    products: np.ndarray
+    change: float
+    root: np.ndarray
+    lower: np.ndarray
+    across: np.ndarray
+
+    @property
+    def posterior_root(self) -> np.ndarray:
+        """Square root of the weights' posterior covariance, given the other columns' weights."""
+        return np.asarray(
+            solve_triangular(self.lower, self.root.T, lower=True, check_finite=False).T
+        )
 
 
 def _root(covariance: np.ndarray) -> np.ndarray:
@@ -126,12 +146,12 @@ def log_evidence(
     """
     total, summed = 0.0, np.zeros((len(common) + 1,) * 2)
     for i, (columns, covariance) in enumerate(zip(trials, local, strict=True)):
-        left, change = eliminate(columns.under(noise, i), covariance)
-        summed += left
-        total += change + noise.log_determinant(i, columns.n_samples)
+        left = eliminate(columns.under(noise, i), covariance)
+        summed += left.products
+        total += left.change + noise.log_determinant(i, columns.n_samples)
         total += columns.n_samples * np.log(2 * np.pi)
-    left, change = eliminate(summed, common)
-    return -0.5 * (total + change + float(left[0, 0]))
+    left = eliminate(summed, common)
+    return -0.5 * (total + left.change + float(left.products[0, 0]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,13 +176,13 @@ class Posterior:
         parts, summed = [], np.zeros((len(self.common_prior) + 1,) * 2)
         for i, (columns, prior) in enumerate(zip(self.trials, self.local_prior, strict=True)):
             products = columns.under(self.noise, i)
-            k = len(prior)
-            covariance = _posterior_covariance(products[:k, :k], prior)
-            gains = covariance @ products[:k, k:]
-            parts.append((covariance, gains, products))
-            summed += products[k:, k:] - products[k:, :k] @ gains
-        covariance = _posterior_covariance(summed[:-1, :-1], self.common_prior)
-        return parts, Weights(covariance @ summed[:-1, -1], covariance)
+            left = eliminate(products, prior)
+            root = left.posterior_root
+            parts.append((root @ root.T, root @ left.across, products))
+            summed += left.products
+        left = eliminate(summed, self.common_prior)
+        root = left.posterior_root
+        return parts, Weights(root @ left.across[:, -1], root @ root.T)
 
     @property
     def common(self) -> Weights:
@@ -203,14 +223,3 @@ class Posterior:
             (products, np.concatenate([-local.mean, -common.mean, [1.0]]))
             for (_, _, products), local in zip(parts, self.local, strict=True)
         ]
-
-
-def _posterior_covariance(products: np.ndarray, prior: np.ndarray) -> np.ndarray:
-    k = len(prior)
-    if k == 0:
-        return np.zeros((0, 0))
-    root = _root(prior)
-    core = root.T @ products @ root
-    core.flat[:: k + 1] += 1.0
-    factor = cholesky(core, lower=True, check_finite=False)
-    return np.asarray(root @ cho_solve((factor, True), root.T, check_finite=False))

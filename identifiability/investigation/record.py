@@ -49,7 +49,7 @@ def record(findings: Findings, *, command: str = "") -> dict[str, Any]:
             {
                 "added": sets[key][0] if key in sets else key,
                 "fitted_as": key,
-                "equivalent": [k for k in sets.get(key, ())[1:]],
+                "equivalent": list(sets.get(key, ())[1:]),
                 **_errors(candidate),
                 "parameters": dict(candidate.values),
             }

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
-
-from matplotlib.figure import Figure
+from typing import TYPE_CHECKING, Any
 
 from identifiability.files import write_text
 from identifiability.investigation.investigate import Findings
@@ -21,6 +19,9 @@ from identifiability.plots.investigation_where import (
 )
 from identifiability.plots.style import save
 from identifiability.report.page import Page
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _KINDS = {
     "explained": "Explained",
@@ -203,8 +204,8 @@ def write_report(findings: Findings, record: dict[str, Any], out: Path) -> list[
         [
             f"identifiability {record['package']}, seed {record['seed']}",
             f"data SHA-256 {record['data_sha256']}",
-            "E is the summed squared residual over the summed squared response of a trial (Eq. 3 of "
-            "Kistemaker & Rozendaal 2011), averaged over trials.",
+            "E is the summed squared residual over the summed squared response of a trial (Eq. 3 "
+            "of Kistemaker & Rozendaal 2011), averaged over trials.",
             "Evidence is the number of independent samples times the logarithm of the ratio of "
             "residuals, less the penalty of the Bayesian information criterion.",
         ]

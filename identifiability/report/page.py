@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import base64
 import html
-import io
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
-from matplotlib.figure import Figure
+from identifiability.plots.style import png
 
-from identifiability.plots.style import styled
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _STYLE = """
 :root { color-scheme: light; }
@@ -102,10 +103,7 @@ class Page:
 
     def figure(self, figure: Figure, caption: str, *, alt: str) -> None:
         """Embed a figure as PNG."""
-        buffer = io.BytesIO()
-        with styled():
-            figure.savefig(buffer, format="png", dpi=110, metadata={"Software": None})
-        data = base64.b64encode(buffer.getvalue()).decode()
+        data = base64.b64encode(png(figure)).decode()
         self._parts.append(
             f'<figure><img alt="{html.escape(alt)}" src="data:image/png;base64,{data}">'
             f"<figcaption>{html.escape(caption)}</figcaption></figure>"

@@ -68,7 +68,13 @@ class NonlinearTendon(Effect):
         """Torque [Nm] of the tendons at a stretch of ``motion.angle`` rad."""
         stiffness, hardening, asymmetry = p
         # Powers of e beyond 30 are no tendon, but an optimiser may ask for them.
-        hardening = jnp.maximum(hardening, 1e-6)
         exponent = jnp.clip(hardening * motion.angle, -30.0, 30.0)
-        odd, even = jnp.sinh(exponent), 2 * jnp.sinh(0.5 * exponent) ** 2
-        return stiffness * (odd + asymmetry * even) / hardening
+        odd, even = _sinhc(exponent), jnp.sinh(0.5 * exponent) * _sinhc(0.5 * exponent)
+        return stiffness * motion.angle * (odd + asymmetry * even)
+
+
+def _sinhc(x: Array) -> Array:
+    """sinh(x)/x, with its derivatives also at 0."""
+    small = jnp.abs(x) < 1e-3
+    safe = jnp.where(small, 1.0, x)
+    return jnp.where(small, 1 + x**2 / 6 + x**4 / 120, jnp.sinh(safe) / safe)

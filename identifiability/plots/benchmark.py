@@ -1,0 +1,62 @@
+"""Confusion matrix of a benchmark."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from identifiability.benchmark.score import Score
+from identifiability.joint.effects import EFFECTS
+from identifiability.plots.style import BLACK, styled
+
+_NOTHING = {
+    "nothing_missing": "nothing missing",
+    "unrepeatable": "unrepeatable",
+    "unknown_static": "unknown",
+    "unknown_memory": "unknown",
+    "measurement": "the measurement",
+    "": "no verdict",
+}
+
+
+def confusion_figure(scores: Sequence[Score]) -> Figure:
+    """What was hidden against what was named first for it; cells hold numbers of effects.
+
+    A hidden effect that is in one of the verdict's sets counts as named, even if another of the set
+    comes first.
+    """
+    pairs: list[tuple[str, str]] = []
+    for s in scores:
+        left = [list(members) for members in s.named]
+        for hidden in s.truth or (s.kind,):
+            mine = next((m for m in left if hidden in m), None)
+            if mine is not None:
+                left.remove(mine)
+                pairs.append((hidden, hidden))
+            elif left and len(left) >= len(s.truth or (s.kind,)):
+                pairs.append((hidden, left.pop(0)[0]))
+            else:
+                pairs.append((hidden, _NOTHING.get(s.verdict, "not named")))
+    known = list(EFFECTS)
+    rows = [k for k in (*known, "none", "unrepeatable", "unknown") if any(p[0] == k for p in pairs)]
+    ends = ["not named", *dict.fromkeys(_NOTHING.values())]
+    columns = [k for k in (*known, *ends) if any(p[1] == k for p in pairs)]
+    counts = np.zeros((len(rows), len(columns)), int)
+    for hidden, named in pairs:
+        counts[rows.index(hidden), columns.index(named)] += 1
+    with styled():
+        figure = Figure(figsize=(0.5 * len(columns) + 3.6, 0.42 * len(rows) + 3.2))
+        axes = figure.subplots()
+        shown = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
+        axes.imshow(shown, cmap="Blues", vmin=0, vmax=1.4, aspect="auto")
+        for (i, j), n in np.ndenumerate(counts):
+            if n:
+                axes.text(j, i, str(n), ha="center", va="center", color=BLACK, fontsize=10)
+        names = [c.replace("_", " ") for c in columns]
+        axes.set_xticks(range(len(columns)), names, rotation=50, ha="right")
+        axes.set_yticks(range(len(rows)), [r.replace("_", " ") for r in rows])
+        axes.set_xlabel("named (the hidden effect, if it is in the verdict's set)")
+        axes.set_ylabel("hidden")
+    return figure
