@@ -8,7 +8,35 @@ from .inference.quadrature import Moments, quadrature
 from .inference.recordings import RecordingFit, fit_recordings
 from .inference.sampling import Posterior, sample
 from .inference.widths import Width, Widths, widths
-from .joint.effects import EFFECTS, Effect, Motion, SeriesTendon
+from .investigation.compare import Comparison
+from .investigation.evidence import Evidence
+from .investigation.investigate import Findings, Investigation, investigate
+from .investigation.locate import Location
+from .investigation.next_experiment import Limits, NextExperiment
+from .investigation.record import record as investigation_record
+from .investigation.search import Search
+from .investigation.unexplained import Unexplained
+from .investigation.verdict import Verdict
+from .joint.effects import (
+    EFFECTS,
+    ActivationLag,
+    CoulombFriction,
+    CubicStiffness,
+    Effect,
+    Gravity,
+    HillForceVelocity,
+    MaxwellBranch,
+    Motion,
+    NonlinearTendon,
+    QuadraticStiffness,
+    SecondMass,
+    SensorDelay,
+    SensorDrift,
+    SensorLowpass,
+    SeriesTendon,
+    ShortRangeStiffness,
+    StretchReflex,
+)
 from .joint.model import KBI, Model
 from .joint.parameters import Parameter
 from .joint.response import simulate
@@ -30,7 +58,12 @@ from .measurement.perturbations import (
 from .measurement.readers import read_trial
 from .measurement.trials import Trial, onsets
 from .plots.corner import corner_figure
+from .plots.investigation import ladder_figure, ranking_figure, widths_figure
+from .plots.investigation_unexplained import unexplained_figure
+from .plots.investigation_where import comparison_figure, where_figure
+from .plots.investigation_where import overlay_figure as investigation_overlay_figure
 from .plots.recording import overlay_figure, windows_figure
+from .report.investigation import write_report
 from .study.approximations import high_frequency, low_frequency
 from .study.setting import MSM, Setting, error_problem, measured_problem
 
@@ -58,6 +91,20 @@ __all__ = [  # noqa: RUF022 -- in the order of use
     "Motion",
     "EFFECTS",
     "SeriesTendon",
+    "NonlinearTendon",
+    "MaxwellBranch",
+    "ActivationLag",
+    "StretchReflex",
+    "HillForceVelocity",
+    "ShortRangeStiffness",
+    "QuadraticStiffness",
+    "CubicStiffness",
+    "CoulombFriction",
+    "Gravity",
+    "SecondMass",
+    "SensorDelay",
+    "SensorLowpass",
+    "SensorDrift",
     "Model",
     "KBI",
     "simulate",
@@ -82,6 +129,19 @@ __all__ = [  # noqa: RUF022 -- in the order of use
     "Width",
     "fit_recordings",
     "RecordingFit",
+    "investigate",
+    "Investigation",
+    "Findings",
+    "Evidence",
+    "Comparison",
+    "Location",
+    "Search",
+    "Unexplained",
+    "Verdict",
+    "Limits",
+    "NextExperiment",
+    "investigation_record",
+    "write_report",
     "to_datatree",
     "write_netcdf",
     "MSM",
@@ -91,6 +151,13 @@ __all__ = [  # noqa: RUF022 -- in the order of use
     "low_frequency",
     "high_frequency",
     "corner_figure",
+    "ladder_figure",
+    "ranking_figure",
+    "widths_figure",
+    "unexplained_figure",
+    "comparison_figure",
+    "where_figure",
+    "investigation_overlay_figure",
     "overlay_figure",
     "windows_figure",
 ]

@@ -2,68 +2,33 @@
 
 import inspect
 import itertools
-import pickle
 from functools import partial
 
 import jax
 import numpy as np
 import pytest
 import scipy.linalg
+from kinds import (
+    DRIVES,
+    KBI_VALUES,
+    KINDS,
+    LINEAR,
+    TIME,
+    TORQUE,
+    nulls_of,
+    respond,
+    values_of,
+)
 from matplotlib.mathtext import MathTextParser
 from oracles import agree
 
-from identifiability.errors import InputError
 from identifiability.joint.effects import EFFECTS
 from identifiability.joint.effects.base import Effect, Motion
 from identifiability.joint.integrator import integrate
-from identifiability.joint.model import KBI, KBI_PARAMETERS
-from identifiability.joint.parameters import Parameter
+from identifiability.joint.model import KBI
 from identifiability.joint.response import drive_arrays, exact_response, simulate
 from identifiability.measurement.perturbations import Drive, SampledTorque, imposed_motion
 
-
-class ParallelSpring(Effect):
-    """A second spring over the joint, the same in both directions: what one's own effect needs."""
-
-    key = "parallel_spring"
-    title = "a second spring"
-    place = "joint"
-    linear = True
-    parameters = (
-        Parameter("stiffness", "k", "Nm/rad", 5.0, 0.0, 100.0, "parallel stiffness", null=0.0),
-    )
-    references = ("Hooke 1678, De Potentia Restitutiva",)
-
-    def torque(self, p, motion, states, delayed):
-        return p[0] * motion.angle
-
-
-KINDS = EFFECTS | {ParallelSpring.key: ParallelSpring}
-LINEAR = [key for key in sorted(KINDS) if KINDS[key].linear]
-
-# All runs have this many samples and go in batches of this size: two compilations for each model.
-TIME = np.arange(201) * 1e-3
-BATCH = 64
-BUMP = np.where(TIME < 0.1, np.sin(np.pi * TIME / 0.1) ** 4, 0.0)
-TORQUE = 10 * BUMP
-DRIVES = {
-    "torque": SampledTorque(TORQUE).drive(TIME),
-    "angle": imposed_motion(TIME, 0.05 * BUMP),
-}
-KBI_VALUES = {"K": 50.0, "B": 2.0, "I": 0.1}
-
-# Values away from the plain form, and from where a response bends as a function of a parameter:
-# an asymmetry or a threshold of 0, a delay of whole samples.
-GENERIC = {
-    "coulomb_friction": {"breakaway": 0.3},
-    "hill_force_velocity": {"asymmetry": 0.3},
-    "nonlinear_tendon": {"asymmetry": 0.3},
-    "sensor_delay": {"delay": 0.0033},
-    "sensor_drift": {"bend": 0.1},
-    "sensor_lowpass": {"second_time_constant": 0.002},
-    "short_range_stiffness": {"renewal": 5.0},
-    "stretch_reflex": {"asymmetry": 0.3, "threshold": 0.2, "off_ratio": 1.7, "delay": 0.0203},
-}
 # Smooth in pieces: their rates have corners, at rest (short range), at the threshold and where
 # activation becomes deactivation (reflex). Second derivatives of the steps do not see these.
 IN_PIECES = {"short_range_stiffness", "stretch_reflex"}
@@ -76,7 +41,7 @@ STABLE = {
     "gravity.moment": (0.0, 100.0),
     "gravity.posture": (-1.5, 1.5),
     "quadratic_stiffness.coefficient": (-100.0, 200.0),
-    "sensor_delay.delay": (0.0, 0.05),  # before its cause it would be bounded, but not causal
+    "sensor_delay.delay": (0.0, 0.05),  # a negative one reads beyond the end of a record
     "sensor_drift.rate": (-0.1, 0.1),
     "sensor_drift.bend": (-0.1, 0.1),
     "stretch_reflex.position_gain": (0.0, 100.0),
@@ -92,36 +57,6 @@ def effect(request):
 @pytest.fixture(params=DRIVES)
 def driven(request):
     return request.param
-
-
-def values_of(model, **changes):
-    """Parameter vector: the KBI above, effects at generic values, some changed by name."""
-    values = dict(zip(model.parameter_names, model.nominal, strict=True)) | KBI_VALUES
-    for key in model.effect_keys:
-        values |= {f"{key}.{name}": value for name, value in GENERIC.get(key, {}).items()}
-    return model.vector(values | changes)
-
-
-def nulls_of(effect):
-    return {f"{effect.key}.{p.name}": p.null for p in effect.parameters if p.null is not None}
-
-
-def respond(model, values, drive, order=4):
-    """Integrated responses with one step a sample, shape (..., 201)."""
-    values = np.asarray(values)
-    flat = values.reshape(-1, values.shape[-1])
-    full = np.concatenate([flat, np.repeat(flat[-1:], -len(flat) % BATCH, axis=0)])
-    arrays, fine = drive_arrays(drive), drive.refined(1)
-    parts = [
-        np.asarray(_responses(model, order, full[i : i + BATCH], arrays, fine))
-        for i in range(0, len(full), BATCH)
-    ]
-    return np.concatenate(parts)[: len(flat)].reshape(*values.shape[:-1], -1)
-
-
-@partial(jax.jit, static_argnums=(0, 1))
-def _responses(model, order, thetas, arrays, fine):
-    return jax.vmap(lambda theta: integrate(model, theta, arrays, fine, 1, order))(thetas)
 
 
 @partial(jax.jit, static_argnums=(0, 1))
@@ -344,10 +279,12 @@ def test_only_a_negative_sensor_delay_answers_before_its_cause():
     assert cut - 22 <= answered <= cut - 18
 
 
-def test_a_held_angle_is_at_rest(effect):
+def test_a_joint_left_alone_or_held_is_at_rest(effect):
     if effect.key == "sensor_drift":
         pytest.skip("it drifts")
-    model, drive = KBI() + effect, imposed_motion(TIME, np.full(TIME.size, 0.1))
+    model, drive = KBI() + effect, SampledTorque(np.zeros(TIME.size)).drive(TIME)
+    assert np.all(respond(model, values_of(model), drive) == 0.0)
+    drive = imposed_motion(TIME, np.full(TIME.size, 0.1))
     torque = respond(model, values_of(model), drive)
     agree(torque, np.full(TIME.size, torque[-1]), 1e-9)
     assert torque[-1] > 1.0
@@ -391,105 +328,3 @@ def test_both_causalities_tell_the_same_story(effect):
     agree(found, TORQUE, 5e-3 if effect.key == "coulomb_friction" else 5e-4)
     without = simulate(KBI(), values_of(KBI()), imposed_motion(TIME, angle))
     assert np.max(np.abs(without - TORQUE)) > 10 * np.max(np.abs(found - TORQUE))
-
-
-# How it is added
-
-
-def test_it_composes(effect):
-    model = KBI() + effect
-    assert model.effects == (effect,)
-    expected = [p.name for p in KBI_PARAMETERS]
-    expected += [f"{effect.key}.{p.name}" for p in effect.parameters]
-    assert list(model.parameter_names) == expected
-    assert model.without(effect.key) == KBI()
-    assert model.references == effect.references
-    with pytest.raises(InputError, match=f"no effect '{effect.key}'"):
-        KBI().without(effect.key)
-
-
-# In every session each effect is paired with one of each place; all pairs on demand.
-PARTNERS = {"series_tendon", "coulomb_friction", "stretch_reflex", "sensor_lowpass"}
-PAIRS = [
-    pytest.param(*pair, marks=() if PARTNERS & set(pair) else pytest.mark.long)
-    for pair in itertools.combinations(sorted(KINDS), 2)
-]
-
-
-@pytest.mark.parametrize(("first", "second"), PAIRS)
-def test_pairs_compose(first, second):
-    pair = KINDS[first](), KINDS[second]()
-    model, other = KBI() + pair[0] + pair[1], KBI() + pair[1] + pair[0]
-    assert model == other
-    assert hash(model) == hash(other)
-    assert model.parameter_names == other.parameter_names
-    assert repr(model) == repr(other)
-    alone = model.without(first), model.without(second)
-    assert alone == (KBI() + pair[1], KBI() + pair[0])
-
-    nominal = dict(zip(model.parameter_names, values_of(model), strict=True))
-    strengths = [next(iter(nulls_of(effect))) for effect in pair]
-    stronger = [values_of(model, **{name: 1.5 * nominal[name]}) for name in strengths]
-    vanished = [values_of(model, **nulls_of(effect)) for effect in pair]
-    rows = np.where(np.isfinite(vanished), vanished, 1e7)
-    drive = DRIVES["torque"]
-    both, *changed = respond(model, np.stack([values_of(model), *stronger, *rows]), drive)
-    assert np.all(np.isfinite([both, *changed]))
-    for found in changed[:2]:
-        assert np.max(np.abs(found - both)) > 1e-5 * np.max(np.abs(both))
-    for effect, rest, found in zip(pair, alone, changed[2:], strict=True):
-        if effect.place == rest.effects[0].place == "series":
-            continue  # two tendons lie side by side: an infinite one leaves nothing to the other
-        rtol = 1e-3 if effect.place == "series" else 1e-9
-        agree(found, respond(rest, values_of(rest), drive), rtol)
-
-
-def test_all_effects_compose():
-    model = KBI()
-    for kind in KINDS.values():
-        model = model + kind()
-    assert len(set(model.parameter_names)) == 3 + sum(len(e.parameters) for e in KINDS.values())
-    assert model.effect_keys == tuple(sorted(KINDS))
-    nominal = dict(zip(model.parameter_names, values_of(model), strict=True))
-    strengths = [next(iter(nulls_of(effect))) for effect in model.effects]
-    rows = [values_of(model), *(values_of(model, **{n: 1.5 * nominal[n]}) for n in strengths)]
-    both, *changed = respond(model, np.stack(rows), DRIVES["torque"])
-    assert np.all(np.isfinite(both))
-    for found in changed:
-        assert np.max(np.abs(found - both)) > 1e-5 * np.max(np.abs(both))
-
-
-def test_adding_it_twice_is_refused(effect):
-    with pytest.raises(InputError, match=f"already has the effect '{effect.key}'; add it once"):
-        KBI() + effect + effect
-
-
-def test_adding_the_class_is_explained(effect):
-    kind = type(effect)
-    with pytest.raises(TypeError, match=f"found the class {kind.__name__}; write for example"):
-        KBI() + kind
-
-
-def test_adding_something_else_is_explained():
-    with pytest.raises(TypeError, match="only effects can be added to a joint model, found 3"):
-        KBI() + 3
-
-
-def test_it_pickles(effect):
-    model = KBI() + effect
-    copy = pickle.loads(pickle.dumps(model))
-    assert copy == model
-    assert hash(copy) == hash(model)
-    assert copy.parameters == model.parameters
-
-
-def test_effects_are_equal_by_kind_alone(effect):
-    assert effect == type(effect)()
-    others = [kind() for key, kind in KINDS.items() if key != effect.key]
-    assert effect not in others
-
-
-def test_values_must_be_given_for_exactly_the_parameters(effect):
-    model = KBI() + effect
-    with pytest.raises(InputError, match="give exactly one value for each"):
-        model.vector(KBI_VALUES)

@@ -27,7 +27,10 @@ from identifiability.measurement.perturbations import Drive
 # Batches are padded to one of a few sizes, so that a few compilations serve any number of points.
 # A batch of long records is kept small: what does not fit the processor's cache is slower.
 # Costly passes of the compiler save next to nothing here, and take a third of its time.
-QUICK_COMPILATION = {"xla_llvm_disable_expensive_passes": True}
+QUICK_COMPILATION = {
+    "xla_llvm_disable_expensive_passes": True,
+    "xla_backend_optimization_level": 1,
+}
 
 _SMALL_BATCH, _BATCHES = 64, (512, 4096)
 _MOST_ELEMENTS = 2**21

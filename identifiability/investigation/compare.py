@@ -133,7 +133,7 @@ class Comparison:
     error : float
         E pooled over trials.
     overall : Estimate
-        The candidate's K, B and I.
+        K, B and I of all trials together.
     constancy : tuple of Constancy
         By window, amplitude, direction, condition and trial.
     """
@@ -192,7 +192,7 @@ def compare(bench: Workbench, candidate: Candidate) -> Comparison:
         for i, (ready, load) in enumerate(zip(evidence.fitted, loads, strict=True))
     ]
     units = _perturbations(evidence) or whole
-    everything = _Group("all", tuple(whole))
+    everything = _Group("all", tuple(units))
     overall = fitter.estimate(everything, fitter.refits.fit(fitter.take(everything)))
     aspects = [
         _by_window(fitter),
@@ -295,6 +295,22 @@ class _Fitter:
         # The fit takes three of as many samples as are independent.
         return found.cost * time / max(n - 3 * time, 1.0)
 
+    def probability(
+        self, statistic: float, dof: float, independent: float, found: Sequence[Refit]
+    ) -> float:
+        """Probability of a larger mean of `dof` squares over the residuals' variance.
+
+        That variance comes from a number of independent residuals. As far as they are noise, they
+        were whitened by a spectrum that is itself an estimate, least certain at the low frequencies
+        that K, B and I are seen at.
+        """
+        weights = self.noise.sds / self.evidence.weights_sd(self.evidence.fitted)
+        rows = [r / w for f in found for r, w in zip(f.rows, weights, strict=True)]
+        power = sum(float(r @ r) for r in rows) / sum(r.size for r in rows)
+        slack = self.noise.slack(np.zeros(1)) / max(power, 1.0) ** 2
+        others = 1 / (1 / max(independent, 1.0) + slack / 2)
+        return float(stats.f.sf(statistic, dof, others))
+
 
 def _inverse(information: np.ndarray) -> np.ndarray:
     """Inverse of a Gauss-Newton matrix; what is undetermined gets a very large variance."""
@@ -327,7 +343,7 @@ def _by_group(fitter: _Fitter, by: Aspect, groups: Sequence[_Group], remark: str
     dof = 3 * (len(groups) - 1)
     statistic = max(common.cost - apart, 0.0) / dof
     independent = sum(e.n_independent for e in estimates) - 3 * len(groups)
-    p_value = float(stats.f.sf(statistic, dof, max(independent, 1.0)))
+    p_value = fitter.probability(statistic, dof, independent, found)
     return Constancy(by, estimates, statistic, p_value, False, remark)
 
 
@@ -367,7 +383,7 @@ def _by_window(fitter: _Fitter) -> Constancy:
         independent += max(estimate.n_independent - 3, 1.0)
     dof = mean**2 / max(square, 1e-300)
     statistic = total / max(mean, 1e-300)
-    p_value = float(stats.f.sf(statistic, dof, independent))
+    p_value = fitter.probability(statistic, dof, independent, found[:-1])
     return Constancy("window", estimates, statistic, p_value, False, "")
 
 
@@ -554,7 +570,7 @@ def _change(found: Constancy, i: int) -> tuple[float, str]:
         a, b = sorted((int(pair[0]), int(pair[1])), key=lambda k: values[k])
         error = np.hypot(errors[a], errors[b])
     score = abs(values[b] - values[a]) / error if error > 0 else 0.0
-    x, y = values_in_words(values[a], values[b])
+    x, y = _in_words(values[a], values[b])
     if found.by in ("condition", "trial"):
         labels = found.groups[a].label, found.groups[b].label
         return float(
@@ -564,13 +580,18 @@ def _change(found: Constancy, i: int) -> tuple[float, str]:
     return float(score), f"{NAMES[i]} {verb} from {x} to {y} {UNITS[i]}"
 
 
-def values_in_words(a: float, b: float) -> tuple[str, str]:
+def _in_words(a: float, b: float) -> tuple[str, str]:
     """Two numbers with as many digits as it takes to tell them apart, at least two."""
     for digits in range(2, 7):
-        x, y = (f"{v:.{digits}g}" for v in (a, b))
+        x, y = plain(a, digits), plain(b, digits)
         if x != y:
             break
     return x, y
+
+
+def plain(x: float, digits: int = 2) -> str:
+    """A number with so many significant digits, without an exponent unless it is very small."""
+    return f"{float(f'{x:.{digits}g}'):.10g}"
 
 
 def probability(p: float) -> str:

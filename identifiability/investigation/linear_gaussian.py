@@ -17,9 +17,31 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import cholesky, solve_triangular
+from scipy.linalg import lapack
 
 _JITTER = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class TrialNoise:
+    """Noise of all trials.
+
+    Attributes
+    ----------
+    sds : array, shape (n_trials,)
+        Standard deviations.
+    rho : float
+        Correlation from one sample to the next.
+    """
+
+    sds: np.ndarray
+    rho: float
+
+    def log_determinant(self, trial: int, n_samples: int) -> float:
+        """Logarithm of the determinant of a trial's covariance."""
+        return float(
+            2 * n_samples * np.log(self.sds[trial]) + (n_samples - 1) * np.log1p(-(self.rho**2))
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,53 +70,23 @@ class Columns:
         inside = z[1:-1]
         return cls(len(z), local.shape[1], z.T @ z, lagged + lagged.T, inside.T @ inside)
 
-    def under(self, noise: Noise, trial: int) -> np.ndarray:
+    def only(self, local: np.ndarray, common: np.ndarray) -> Columns:
+        """Inner products of some of the columns and the residual.
+
+        Parameters
+        ----------
+        local, common : array of int
+            Local columns, and common ones, each counted from 0.
+        """
+        chosen = np.concatenate([local, self.n_local + common, [len(self.whole) - 1]])
+        at = np.ix_(chosen, chosen)
+        return Columns(self.n_samples, len(local), self.whole[at], self.lagged[at], self.inner[at])
+
+    def under(self, noise: TrialNoise, trial: int) -> np.ndarray:
         """Inner products under the inverse of the noise's covariance, shape (m, m)."""
         rho = noise.rho
         scale = noise.sds[trial] ** 2 * (1 - rho**2)
         return (self.whole - rho * self.lagged + rho**2 * self.inner) / scale
-
-
-@dataclass(frozen=True, eq=False)
-class Noise:
-    """Noise of all trials.
-
-    Attributes
-    ----------
-    sds : array, shape (n_trials,)
-        Standard deviations.
-    rho : float
-        Correlation from one sample to the next.
-    """
-
-    sds: np.ndarray
-    rho: float
-
-    def log_determinant(self, trial: int, n_samples: int) -> float:
-        """Logarithm of the determinant of a trial's covariance."""
-        return float(
-            2 * n_samples * np.log(self.sds[trial]) + (n_samples - 1) * np.log1p(-(self.rho**2))
-        )
-
-
-def eliminate(products: np.ndarray, covariance: np.ndarray) -> Eliminated:
-    """Integrate the first weights out.
-
-    Parameters
-    ----------
-    products : array, shape (m, m)
-        Inner products of the columns, those of the weights to be eliminated first.
-    covariance : array, shape (k, k)
-        Prior covariance of these weights.
-    """
-    k = len(covariance)
-    root = _root(covariance)
-    core = root.T @ products[:k, :k] @ root
-    core.flat[:: k + 1] += 1.0
-    lower = cholesky(core, lower=True, check_finite=False)
-    across = solve_triangular(lower, root.T @ products[:k, k:], lower=True, check_finite=False)
-    change = 2 * float(np.sum(np.log(np.diag(lower))))
-    return Eliminated(products[k:, k:] - across.T @ across, change, root, lower, across)
 
 
 class Eliminated(NamedTuple):
@@ -119,19 +111,58 @@ class Eliminated(NamedTuple):
     @property
     def posterior_root(self) -> np.ndarray:
         """Square root of the weights' posterior covariance, given the other columns' weights."""
-        return np.asarray(
-            solve_triangular(self.lower, self.root.T, lower=True, check_finite=False).T
-        )
+        if self.root.size == 0:
+            return self.root
+        return np.asarray(lapack.dtrtrs(self.lower, self.root.T, lower=1)[0].T)
 
 
-def _root(covariance: np.ndarray) -> np.ndarray:
+def eliminate(products: np.ndarray, root: np.ndarray) -> Eliminated:
+    """Integrate the first weights out.
+
+    Parameters
+    ----------
+    products : array, shape (m, m)
+        Inner products of the columns, those of the weights to be eliminated first.
+    root : array, shape (k, k)
+        Square root of these weights' prior covariance.
+
+    Raises
+    ------
+    LinAlgError
+        Where the columns are so nearly dependent that rounding decides.
+    """
+    k = len(root)
+    if k == 0:
+        return Eliminated(products, 0.0, root, root, products[:0])
+    core = root.T @ products[:k, :k] @ root
+    core.flat[:: k + 1] += 1.0
+    lower, failed = lapack.dpotrf(core, lower=1)
+    if failed:
+        raise np.linalg.LinAlgError("the columns are too nearly dependent")
+    across = lapack.dtrtrs(lower, root.T @ products[:k, k:], lower=1)[0]
+    change = 2 * float(np.sum(np.log(np.diag(lower))))
+    return Eliminated(products[k:, k:] - across.T @ across, change, root, lower, across)
+
+
+def square_root(covariance: np.ndarray) -> np.ndarray:
+    """Lower triangular square root of a covariance, with a little added to its diagonal."""
     jittered = covariance.copy()
     jittered.flat[:: len(covariance) + 1] *= 1 + _JITTER
-    return np.asarray(cholesky(jittered, lower=True, check_finite=False))
+    return np.linalg.cholesky(jittered)
+
+
+def side_by_side(*blocks: np.ndarray) -> np.ndarray:
+    """Block diagonal matrix; SciPy's is slow where matrices are small."""
+    out = np.zeros(tuple(sum(b.shape[axis] for b in blocks) for axis in (0, 1)))
+    row = column = 0
+    for b in blocks:
+        out[row : row + b.shape[0], column : column + b.shape[1]] = b
+        row, column = row + b.shape[0], column + b.shape[1]
+    return out
 
 
 def log_evidence(
-    trials: Sequence[Columns], noise: Noise, local: Sequence[np.ndarray], common: np.ndarray
+    trials: Sequence[Columns], noise: TrialNoise, local: Sequence[np.ndarray], common: np.ndarray
 ) -> float:
     """Log probability density of the residuals of all trials.
 
@@ -140,13 +171,13 @@ def log_evidence(
     trials : sequence of Columns
     noise : Noise
     local : sequence of array, shape (n_local, n_local)
-        Prior covariance of each trial's local weights.
+        Square root of the prior covariance of each trial's local weights.
     common : array, shape (n_common, n_common)
-        Prior covariance of the common weights.
+        The same of the common weights.
     """
     total, summed = 0.0, np.zeros((len(common) + 1,) * 2)
-    for i, (columns, covariance) in enumerate(zip(trials, local, strict=True)):
-        left = eliminate(columns.under(noise, i), covariance)
+    for i, (columns, root) in enumerate(zip(trials, local, strict=True)):
+        left = eliminate(columns.under(noise, i), root)
         summed += left.products
         total += left.change + noise.log_determinant(i, columns.n_samples)
         total += columns.n_samples * np.log(2 * np.pi)
@@ -156,33 +187,38 @@ def log_evidence(
 
 @dataclass(frozen=True, eq=False)
 class Weights:
-    """Posterior of one set of weights: mean, shape (k,), and covariance, shape (k, k)."""
+    """Posterior of one set of weights: mean, shape (k,), and a square root of its covariance."""
 
     mean: np.ndarray
-    covariance: np.ndarray
+    root: np.ndarray
+
+    @property
+    def sd(self) -> np.ndarray:
+        """Standard deviations, shape (k,)."""
+        return np.asarray(np.sqrt(np.sum(self.root**2, axis=1)))
 
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """Posterior of all weights under given noise and prior covariances; see `log_evidence`."""
+    """Posterior of all weights under given noise and priors; arguments as for `log_evidence`."""
 
     trials: Sequence[Columns]
-    noise: Noise
-    local_prior: Sequence[np.ndarray]
-    common_prior: np.ndarray
+    noise: TrialNoise
+    local_root: Sequence[np.ndarray]
+    common_root: np.ndarray
 
     @cached_property
     def _solved(self) -> tuple[list[tuple[np.ndarray, np.ndarray, np.ndarray]], Weights]:
-        parts, summed = [], np.zeros((len(self.common_prior) + 1,) * 2)
-        for i, (columns, prior) in enumerate(zip(self.trials, self.local_prior, strict=True)):
+        parts, summed = [], np.zeros((len(self.common_root) + 1,) * 2)
+        for i, (columns, prior_root) in enumerate(zip(self.trials, self.local_root, strict=True)):
             products = columns.under(self.noise, i)
-            left = eliminate(products, prior)
+            left = eliminate(products, prior_root)
             root = left.posterior_root
-            parts.append((root @ root.T, root @ left.across, products))
+            parts.append((root, root @ left.across, products))
             summed += left.products
-        left = eliminate(summed, self.common_prior)
+        left = eliminate(summed, self.common_root)
         root = left.posterior_root
-        return parts, Weights(root @ left.across[:, -1], root @ root.T)
+        return parts, Weights(root @ left.across[:, -1], root)
 
     @property
     def common(self) -> Weights:
@@ -194,27 +230,45 @@ class Posterior:
         """Of each trial's local weights, the uncertainty of the common ones included."""
         parts, common = self._solved
         out = []
-        for covariance, gains, _ in parts:
+        for root, gains, _ in parts:
             mean = gains[:, -1] - gains[:, :-1] @ common.mean
-            spread = covariance + gains[:, :-1] @ common.covariance @ gains[:, :-1].T
-            out.append(Weights(mean, spread))
+            out.append(Weights(mean, np.hstack([root, gains[:, :-1] @ common.root])))
         return out
 
-    def energies(self) -> np.ndarray:
-        """What the means leave, as squared residuals in units of the noise; shape (n_trials,)."""
-        return np.array([d @ h @ d for h, d in self._differences()])
+    def draw(self, n: int, seed: int) -> tuple[list[np.ndarray], np.ndarray]:
+        """Draw weights.
+
+        Parameters
+        ----------
+        n : int
+            Number of draws.
+        seed : int
+
+        Returns
+        -------
+        list of array, shape (n, n_local)
+            Local weights of each trial.
+        array, shape (n, n_common)
+        """
+        rng = np.random.default_rng(seed)
+        parts, common = self._solved
+        shared = common.mean + rng.standard_normal((n, common.mean.size)) @ common.root.T
+        local = []
+        for root, gains, _ in parts:
+            given = gains[:, -1] - shared @ gains[:, :-1].T
+            local.append(given + rng.standard_normal((n, len(root))) @ root.T)
+        return local, shared
 
     def expected_energies(self) -> np.ndarray:
         """Posterior expectation of the noise's own squares, in units of the noise; (n_trials,)."""
         parts, common = self._solved
         out = []
-        for (h, d), (covariance, gains, _) in zip(self._differences(), parts, strict=True):
-            k = len(covariance)
-            # Spread of (local, common): the common ones move the local ones through their gains.
-            moved = np.vstack([-gains[:, :-1], np.eye(len(common.mean))])
-            spread = moved @ common.covariance @ moved.T
-            spread[:k, :k] += covariance
-            out.append(d @ h @ d + np.sum(spread * h[:-1, :-1]))
+        for (h, d), (root, gains, _) in zip(self._differences(), parts, strict=True):
+            k = len(root)
+            # The common weights move the local ones through their gains.
+            moved = np.vstack([-gains[:, :-1], np.eye(len(common.mean))]) @ common.root
+            spread = np.sum(moved * (h[:-1, :-1] @ moved)) + np.sum(root * (h[:k, :k] @ root))
+            out.append(d @ h @ d + spread)
         return np.array(out)
 
     def _differences(self) -> list[tuple[np.ndarray, np.ndarray]]:

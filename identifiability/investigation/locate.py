@@ -13,10 +13,10 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import signal, stats
+from scipy import linalg, signal, stats
 
 from identifiability.investigation.candidates import Candidate, Workbench
-from identifiability.investigation.compare import probability
+from identifiability.investigation.compare import plain, probability
 from identifiability.investigation.evidence import Ready
 from identifiability.investigation.imposed import Imposed, imposed
 from identifiability.investigation.refits import Refits, correlation_time, without_levels
@@ -25,9 +25,10 @@ from identifiability.investigation.whitening import Blocks, Portion, Whitening, 
 _WIDTHS, _MOST_BINS = (0.01, 0.02), 60  # of the bins in time [s], and their number
 _LATENCY_BIN, _LONGEST_LATENCY = 0.01, 0.4  # seconds in which an onset of the misfit is looked for
 _LONGEST_SEGMENT, _FEWEST_SEGMENTS = 1.0, 3  # of the spectra [s]; for a coherence
-_CELLS, _REACH = 5, 0.98  # along angle and velocity; quantile of either that they span
+_TAPERED = 0.25  # share of a segment that is tapered, lest its ends leak into high frequencies
+_KNOTS, _REACH = 9, 0.995  # of angle and velocity each, an odd number; quantile that they span
 _UNKNOWN = 1e3  # size of an offset that is unknown altogether, in units of the noise
-_FEWEST_BLOCKS = 4  # in a cell
+_DETERMINED = 0.03  # least singular value of the regression on torques, relative to the largest
 _OPPOSITE, _OTHER_SIZE = 0.05, 1.2  # how close to -1, and how far from 1, the ratio of sizes is
 
 
@@ -97,28 +98,44 @@ class FrequencyView(View):
 
 
 @dataclass(frozen=True, eq=False)
-class StateView(View):
-    """Unexplained torque against angle and velocity.
+class Curve:
+    """Unexplained torque against angle or velocity.
 
     Attributes
     ----------
-    angle_edges, velocity_edges : array, shape (n + 1,)
-        Of the cells [rad, rad/s].
-    torque, errors : array, shape (n, n)
-        Torque [Nm] that resists the motion beyond what the model says, and its standard error, by
-        angle and velocity, but for what K, B and I could take up; nan in cells not visited.
-    flags : array, shape (n, n)
-        Which are significant.
+    at : array, shape (n,)
+        Angle [rad] or velocity [rad/s].
+    torque, errors : array, shape (n,)
+        Torque [Nm] that resists the motion beyond what the model says, and its standard error. It
+        is 0 at rest, and has no linear part: K and B would take that up.
+    flags : array, shape (n,)
+        Where it is significant.
     share : float
-        Share of the misfit, beyond the noise, that such a torque explains.
-    p_value : float
+        Share of the misfit, beyond the noise, that this curve alone explains.
     """
 
-    angle_edges: np.ndarray
-    velocity_edges: np.ndarray
+    at: np.ndarray
     torque: np.ndarray
     errors: np.ndarray
     flags: np.ndarray
+    share: float
+
+
+@dataclass(frozen=True, eq=False)
+class StateView(View):
+    """Unexplained torque as the sum of one that depends on the angle and one on the velocity.
+
+    Attributes
+    ----------
+    angle, velocity : Curve or None
+        ``None`` where the trials visit too few states.
+    share : float
+        Share of the misfit, beyond the noise, that both explain together.
+    p_value : float
+    """
+
+    angle: Curve | None
+    velocity: Curve | None
     share: float
     p_value: float
 
@@ -354,7 +371,7 @@ def _in_time(scene: _Scene) -> TimeView:
     sentence = (
         f"The residual exceeds {scene.reference} in {flags.sum()} of {n} bins of time, most from "
         f"{1000 * edges[worst]:.0f} to {1000 * edges[worst + 1]:.0f} ms after the perturbation "
-        f"({np.sqrt(ratio[worst]):.2g} times in size)"
+        f"({plain(np.sqrt(ratio[worst]))} times in size)"
     )
     if latency is not None:
         first = f"for the first {1000 * latency:.0f} ms, no longer"
@@ -433,24 +450,28 @@ def _in_frequency(scene: _Scene) -> FrequencyView:
     squared = np.abs(cross.sum(axis=0)) ** 2 / np.where(norm > 0, norm, 1.0)
     squared = np.clip(squared, 0.0, 1 - 1e-12)
     n = edges.size - 1
+    # The taper joins neighbouring frequencies: so many count as one.
+    taper = signal.windows.tukey(1000, _TAPERED)
+    shared = float(np.mean(taper**4) / np.mean(taper**2) ** 2)
     ratio, p_values, coherence, p_coherent = np.ones(n), np.ones(n), np.full(n, np.nan), np.ones(n)
     for k, (low, high) in enumerate(itertools.pairwise(edges)):
         band = slice(low, high)
         portions = [
-            Portion(2 * (high - low) * owners.count(i), 0.0, float(scene.noise.dof[i]))
+            Portion(2 * (high - low) * owners.count(i) / shared, 0.0, float(scene.noise.dof[i]))
             for i in dict.fromkeys(owners)
         ]
         hertz_of_band = np.arange(low, high) / duration
-        slack = max(
-            scene.noise.slack(hertz_of_band * ready.drive.interval) for ready in scene.parts
-        )
-        ratio[k], p_values[k] = excess(2 * float(power[:, band].sum()), portions, slack)
+        places = [hertz_of_band * ready.drive.interval for ready in scene.parts]
+        slack = max(scene.noise.slack(place) for place in places)
+        lift = max(scene.noise.lift(place) for place in places) if scene.noise.known else 0.0
+        total = 2 * float(power[:, band].sum()) / shared / (1 + lift)
+        ratio[k], p_values[k] = excess(total, portions, slack)
         p_values[k] = max(p_values[k], _against_lead(scene, hertz_of_band, power[:, band], owners))
         if known:
             coherence[k] = squared[band].mean()
             # Of noise, -(L - 1) ln(1 - coherence) of L segments is exponentially distributed.
             score = -(len(owners) - 1) * np.log1p(-squared[band]).sum()
-            p_coherent[k] = stats.gamma.sf(score, high - low)
+            p_coherent[k] = stats.gamma.sf(score / shared, (high - low) / shared)
     flags = scene.significant(p_values) if scene.noise.known else np.zeros(n, bool)
     coherent = scene.significant(p_coherent) if known else np.zeros(n, bool)
     hertz = edges / duration
@@ -474,13 +495,14 @@ def _segments(
         length = int(duration / ready.drive.interval * (1 + 1e-9))
         if length < 16:
             return [], [], [], duration
+        taper = signal.windows.tukey(length, _TAPERED)
         white = scene.noise.white(i, scene.candidate.fitted.by_trial[i])
         acting = ready.drive.signals[ready.first : ready.last, 0]
         acting = acting - acting[first]
         for start in range(first, white.size - length + 1, length):
             part = slice(start, start + length)
-            residuals.append(np.fft.rfft(white[part]) / np.sqrt(length))
-            inputs.append(np.fft.rfft(acting[part]))
+            residuals.append(np.fft.rfft(taper * white[part]) / np.sqrt(np.sum(taper**2)))
+            inputs.append(np.fft.rfft(taper * acting[part]))
             owners.append(i)
     return residuals, inputs, owners, duration
 
@@ -540,7 +562,7 @@ def _frequency_sentence(
     worst = int(np.argmax(np.where(flags, ratio, 0.0)))
     sentence = (
         f"The residual's power exceeds the noise's at {_bands(hertz, flags)}, most "
-        f"({ratio[worst]:.2g} times) at {hertz[worst]:.2g} to {hertz[worst + 1]:.2g} Hz"
+        f"({plain(ratio[worst])} times) at {plain(hertz[worst])} to {plain(hertz[worst + 1])} Hz"
     )
     if not coherence_known:
         return sentence + "."
@@ -553,120 +575,138 @@ def _bands(hertz: np.ndarray, flags: np.ndarray) -> str:
     """Flagged bands in words, neighbours joined."""
     edge = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(int), [0]])))
     pairs = edge.reshape(-1, 2)
-    return " and ".join(f"{hertz[low]:.2g} to {hertz[high]:.2g} Hz" for low, high in pairs)
+    return " and ".join(f"{plain(hertz[low])} to {plain(hertz[high])} Hz" for low, high in pairs)
 
 
 # State
 
 
 def _in_state(scene: _Scene) -> StateView:
-    """Unexplained torque on a grid of angle and velocity, by generalised least squares.
+    """Unexplained torque against angle and velocity, by generalised least squares.
 
-    A torque that is constant within each cell acts on the joint that the model says it is (with the
-    candidate's K, B and I), and the response to it is fitted to the whitened residual, together
-    with changes of K, B and I and of the trials' levels. This needs no second derivative of the
-    measured angle. Of the torques only what is orthogonal to angle and velocity is determined.
+    A torque f(angle) + g(velocity), both piecewise linear, acts on the joint that the model says it
+    is (with the candidate's K, B and I), and the response to it is fitted to the whitened residual
+    together with changes of K, B and I and of the trials' levels. This needs no second derivative
+    of the measured angle. A torque over the plane of both is not determined by transients, each of
+    which visits one line in it.
     """
     motions = [
         _motion(ready, left)
         for ready, left in zip(scene.parts, scene.candidate.fitted.by_trial, strict=True)
     ]
-    limits = [
-        max(float(np.quantile(np.abs(np.concatenate([m[k] for m in motions])), _REACH)), 1e-12)
-        for k in (0, 1)
-    ]
-    edges = [np.linspace(-limit, limit, _CELLS + 1) for limit in limits]
-    cells = []
-    for motion in motions:
-        at = [
-            np.clip(np.searchsorted(e, x, side="right") - 1, 0, _CELLS - 1)
-            for e, x in zip(edges, motion, strict=True)
-        ]
-        cells.append(at[0] * _CELLS + at[1])
-    n_cells = _CELLS**2
-    counts = sum(
-        np.bincount(cell[b.index[:, 0]], minlength=n_cells)
-        for cell, b in zip(cells, scene.blocks, strict=True)
-    )
-    used = np.flatnonzero(np.asarray(counts) >= _FEWEST_BLOCKS)
+    knots = [_knots(np.concatenate([motion[k] for motion in motions])) for k in (0, 1)]
     _, slopes = scene.refits.linearised(scene.refits.values)
-    rows, nuisance, forced = [], [], []
-    for i, (ready, b) in enumerate(zip(scene.parts, scene.blocks, strict=True)):
-        inside = (cells[i][:, None] == used).astype(float)
-        response = _response_to_torque(scene, ready, inside)
-        forced.append(scene.noise.averaged(i, response, b.index))
+    values, nuisance, forced = [], [], []
+    often = np.zeros(2 * _KNOTS)
+    for i, (ready, b) in enumerate(_observed(scene)):
+        hats = np.column_stack([_hats(x, k) for x, k in zip(motions[i], knots, strict=True)])
+        often += np.sum(hats[b.index[:, 0]] ** 2, axis=0)
+        forced.append(scene.noise.averaged(i, _response_to(scene, ready, hats), b.index))
         levels = np.zeros((len(b.values), len(scene.parts)))
-        ones = np.ones((len(response), 1))
+        ones = np.ones((len(hats), 1))
         levels[:, i] = scene.noise.averaged(i, ones, b.index)[:, 0]
         nuisance.append(np.column_stack([scene.noise.averaged(i, slopes[i], b.index), levels]))
-        rows.append(b.values)
-    z, free, design = np.concatenate(rows), np.concatenate(nuisance), np.concatenate(forced)
-    middle = np.column_stack(
-        [
-            np.repeat((edges[0][1:] + edges[0][:-1]) / 2, _CELLS),
-            np.tile((edges[1][1:] + edges[1][:-1]) / 2, _CELLS),
-        ]
-    )[used]
-    weights = np.asarray(counts)[used, None]
-    basis = _orthogonal_to(weights * middle / np.array(limits))
-    reduced = _residual_of(design @ basis, free)
-    left = _residual_of(z[:, None], free)[:, 0]
-    inverse = np.linalg.pinv(reduced, rcond=1e-4)
-    rank = (
-        int(np.linalg.matrix_rank(reduced, tol=1e-4 * np.linalg.norm(reduced, 2)))
-        if reduced.size
-        else 0
+        values.append(b.values)
+    taken = _span(np.concatenate(nuisance))
+    design, left = (
+        rows - taken @ (taken.T @ rows) for rows in map(np.concatenate, (forced, values))
     )
-    torque, errors = np.full(n_cells, np.nan), np.full(n_cells, np.nan)
-    flags = np.zeros(n_cells, bool)
-    shape = (_CELLS, _CELLS)
-    if rank == 0:
-        sentence = "The trials visit too few states to tell where in them the model fails."
-        empty = torque.reshape(shape)
-        return StateView(False, sentence, *edges, empty, empty, flags.reshape(shape), 0.0, 1.0)
+    misfit = float(left @ left) - (left.size - taken.shape[1])
+    both, angle, velocity = (
+        _regression(left, design, knots, often, parts) for parts in ((0, 1), (0,), (1,))
+    )
+    if not both.rank:
+        reason = "The trials visit too few states to tell where in them the model fails."
+        return StateView(False, reason, None, None, 0.0, 1.0)
+    owner = np.repeat(np.arange(len(scene.parts)), [len(b.values) for b in scene.blocks])
+    numbers = np.bincount(owner, both.leverage, len(scene.parts))
+    portions = [
+        Portion(float(n), 0.0, float(dof)) for n, dof in zip(numbers, scene.noise.dof, strict=True)
+    ]
+    p_value = excess(both.gained, portions, scene.slow_slack)[1]
+    shares = [
+        float(np.clip((fit.gained - fit.rank) / misfit, 0.0, 1.0)) if misfit > 0 else 0.0
+        for fit in (both, angle, velocity)
+    ]
+    p_values = 2 * stats.norm.sf(np.abs(both.torque) / np.maximum(both.errors, 1e-300))
+    flags = scene.significant(p_values)
+    curves = [
+        Curve(knots[k], both.torque[part], both.errors[part], flags[part], shares[1 + k])
+        for k, part in enumerate((slice(0, _KNOTS), slice(_KNOTS, None)))
+    ]
+    if p_value > scene.level:
+        chance = probability(p_value)
+        sentence = f"No torque that depends on angle and velocity alone is missing ({chance})."
+        return StateView(False, sentence, curves[0], curves[1], 0.0, p_value)
+    sentence = (
+        "A torque that depends on the present angle and velocity would explain "
+        f"{100 * shares[0]:.0f} % of the misfit, one that depends on the angle alone "
+        f"{100 * shares[1]:.0f} %, on the velocity alone {100 * shares[2]:.0f} %."
+    )
+    return StateView(True, sentence, curves[0], curves[1], shares[0], p_value)
+
+
+@dataclass(frozen=True, eq=False)
+class _Regression:
+    """A residual explained by torques at knots."""
+
+    torque: np.ndarray
+    errors: np.ndarray
+    gained: float
+    rank: int
+    leverage: np.ndarray
+
+
+def _regression(
+    left: np.ndarray,
+    design: np.ndarray,
+    knots: Sequence[np.ndarray],
+    often: np.ndarray,
+    parts: Sequence[int],
+) -> _Regression:
+    """Fit torques at the knots of angle (0), velocity (1) or both.
+
+    They are in units of the torque times the root of the time spent there, and are orthogonal to
+    the linear torques; of what is ill determined the smallest is taken.
+    """
+    basis = np.zeros((2 * _KNOTS, 0))
+    for k in parts:
+        # At rest there is no torque, and what is not visited is not asked for.
+        used = k * _KNOTS + np.flatnonzero((knots[k] != 0) & (often[k * _KNOTS :][:_KNOTS] >= 1))
+        if used.size < 3:
+            continue
+        root = np.sqrt(often[used])[:, None]
+        block = np.zeros((2 * _KNOTS, used.size - 1))
+        block[used] = _orthogonal_to(root * knots[k][used - k * _KNOTS][:, None]) / root
+        basis = np.column_stack([basis, block])
+    none = np.zeros(2 * _KNOTS)
+    if not basis.size:
+        return _Regression(none, none, 0.0, 0, np.zeros(left.size))
+    reduced = design @ basis
+    inverse = np.linalg.pinv(reduced, rcond=_DETERMINED)
+    leverage = np.sum(reduced * inverse.T, axis=1)
     coefficients = inverse @ left
     remaining = left - reduced @ coefficients
-    gained = float(left @ left - remaining @ remaining)
-    hat = np.sum(reduced * inverse.T, axis=1)
-    owner = np.repeat(np.arange(len(scene.parts)), [len(b.values) for b in scene.blocks])
-    shares = np.bincount(owner, np.maximum(hat, 0.0), len(scene.parts))
-    portions = [
-        Portion(float(n), 0.0, float(dof)) for n, dof in zip(shares, scene.noise.dof, strict=True)
-    ]
-    p_value = excess(gained, portions, scene.slow_slack)[1]
     spread = max(1.0, float(np.mean(remaining**2)) * correlation_time((remaining,)))
-    torque[used] = basis @ coefficients
-    errors[used] = np.sqrt(spread * np.sum((basis @ inverse) ** 2, axis=1))
-    p_cells = 2 * stats.norm.sf(np.abs(torque[used]) / np.maximum(errors[used], 1e-300))
-    flags[used] = scene.significant(p_cells)
-    misfit = float(left @ left) - (left.size - free.shape[1])
-    share = float(np.clip((gained - rank) / misfit, 0.0, 1.0)) if misfit > gained - rank else 1.0
-    significant = p_value <= scene.level
-    sentence = (
-        f"No torque that depends on angle and velocity alone is missing ({probability(p_value)})."
+    return _Regression(
+        basis @ coefficients,
+        np.sqrt(spread * np.sum((basis @ inverse) ** 2, axis=1)),
+        float(left @ left - remaining @ remaining),
+        round(float(leverage.sum())),
+        np.maximum(leverage, 0.0),
     )
-    if significant:
-        clear = np.where(flags, np.abs(np.nan_to_num(torque)), 0.0)
-        clear = clear if flags.any() else np.abs(np.nan_to_num(torque))
-        worst = int(np.argmax(clear * np.sqrt(counts)))
-        angle, velocity = (
-            float((e[k] + e[k + 1]) / 2) for e, k in zip(edges, divmod(worst, _CELLS), strict=True)
-        )
-        sentence = (
-            "A torque that depends on angle and velocity alone would explain "
-            f"{100 * share:.0f} % of the misfit; it weighs most, {torque[worst]:+.2g} Nm, near {angle:+.2g} rad and "
-            f"{velocity:+.2g} rad/s."
-        )
-    return StateView(
-        significant,
-        sentence,
-        *edges,
-        torque.reshape(shape),
-        errors.reshape(shape),
-        flags.reshape(shape),
-        share if significant else 0.0,
-        p_value,
-    )
+
+
+def _knots(values: np.ndarray) -> np.ndarray:
+    """Places symmetric about 0 that span most values, closer near rest."""
+    reach = max(float(np.quantile(np.abs(values), _REACH)), 1e-12)
+    place = np.linspace(-1, 1, _KNOTS)
+    return np.asarray(reach * np.sign(place) * np.abs(place) ** 1.5)
+
+
+def _hats(values: np.ndarray, knots: np.ndarray) -> np.ndarray:
+    """Functions that are 1 at one knot and fall to 0 at its neighbours, shape (n, n_knots)."""
+    return np.column_stack([np.interp(values, knots, row) for row in np.eye(knots.size)])
 
 
 def _motion(ready: Ready, left: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -678,15 +718,17 @@ def _motion(ready: Ready, left: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return angle, np.gradient(angle, ready.drive.interval)
 
 
-def _response_to_torque(scene: _Scene, ready: Ready, torque: np.ndarray) -> np.ndarray:
+def _response_to(scene: _Scene, ready: Ready, torque: np.ndarray) -> np.ndarray:
     """Change of the response to additional resisting torques, shape (n, k)."""
     if ready.trial.driven == "angle":
         return torque
     K, B, I = scene.refits.values
-    system = np.array([[0.0, 1.0], [-K / I, -B / I]]), np.array([[0.0], [1 / I]])
-    read = np.array([[1.0, 0.0]]), np.zeros((1, 1))
-    b, a = signal.ss2tf(*signal.cont2discrete((*system, *read), ready.drive.interval)[:4])
-    return -np.asarray(signal.lfilter(b[0], a, torque, axis=0))
+    system = np.array([[0.0, 1.0, 0.0], [-K / I, -B / I, 1 / I], [0.0, 0.0, 0.0]])
+    # Motion is slow within a sample: the torque is as good as constant.
+    step = linalg.expm(system * ready.drive.interval)
+    forward = [0.0, step[0, 2], step[0, 1] * step[1, 2] - step[1, 1] * step[0, 2]]
+    back = [1.0, -step[0, 0] - step[1, 1], step[0, 0] * step[1, 1] - step[0, 1] * step[1, 0]]
+    return -np.asarray(signal.lfilter(forward, back, torque, axis=0))
 
 
 def _orthogonal_to(columns: np.ndarray) -> np.ndarray:
@@ -696,11 +738,11 @@ def _orthogonal_to(columns: np.ndarray) -> np.ndarray:
     return np.asarray(vectors[:, rank:])
 
 
-def _residual_of(columns: np.ndarray, regressors: np.ndarray) -> np.ndarray:
-    """Columns less what a linear regression explains of them."""
-    norms = np.linalg.norm(regressors, axis=0)
-    kept = regressors[:, norms > 0] / norms[norms > 0]
-    return np.asarray(columns - kept @ np.linalg.lstsq(kept, columns, rcond=1e-10)[0])
+def _span(columns: np.ndarray) -> np.ndarray:
+    """Orthonormal basis of what some columns span."""
+    norms = np.linalg.norm(columns, axis=0)
+    vectors, sizes, _ = np.linalg.svd(columns[:, norms > 0] / norms[norms > 0], full_matrices=False)
+    return np.asarray(vectors[:, sizes > 1e-9])
 
 
 # Direction and size
@@ -777,7 +819,7 @@ def _by_direction(scene: _Scene) -> DirectionView:
     odd_profile, odd_ratio, p_odd = _profile(scene, odd, edges)
     is_even, is_odd = (bool(f) for f in scene.significant(np.array([p_even, p_odd])))
     sizes = (
-        f"(even part {np.sqrt(even_ratio):.2g}, odd part {np.sqrt(odd_ratio):.2g} times "
+        f"(even part {plain(np.sqrt(even_ratio))}, odd part {plain(np.sqrt(odd_ratio))} times "
         f"{scene.reference})"
     )
     sentence = {
@@ -827,7 +869,7 @@ def _by_amplitude(scene: _Scene) -> AmplitudeView:
     edges = _edges(scene, {k for i, j, _ in pairs for k in (i, j)})
     profile, ratio, p_value = _profile(scene, combined, edges)
     significant = p_value <= scene.level
-    size = f"{np.sqrt(ratio):.2g} times {scene.reference}"
+    size = f"{plain(np.sqrt(ratio))} times {scene.reference}"
     if significant:
         sentence = (
             "The residual does not scale with the perturbation (the difference is "
@@ -885,12 +927,12 @@ def _by_trial(
     flags = scene.significant(p_values)
     pooled = fitted.error
     if n == 1 and not scene.noise.known:
-        sentence = f"There is one {what} (E = {pooled:.2g}), and the noise is unknown."
+        sentence = f"There is one {what} (E = {plain(pooled)}), and the noise is unknown."
     elif not flags.any():
         against = (
             "the noise explains" if scene.noise.known else "the others have (the noise is unknown)"
         )
-        sentence = f"No {what} has a larger error than {against} (E = {pooled:.2g})."
+        sentence = f"No {what} has a larger error than {against} (E = {plain(pooled)})."
     else:
         worst = int(np.argmax(np.where(flags, ratio, 0.0)))
         against = (
@@ -898,8 +940,9 @@ def _by_trial(
         )
         sentence = (
             f"{flags.sum()} of {n} {plural} have a larger error than {against}; it is largest "
-            f"against that in {names[worst]} (E = {errors[worst]:.2g}, over all {pooled:.2g})."
+            f"against that in {names[worst]} (E = {plain(errors[worst])}, over all "
+            f"{plain(pooled)})."
         )
         if n == 1:
-            sentence = f"The one {what} has a larger error than {against} (E = {pooled:.2g})."
+            sentence = f"The one {what} has a larger error than {against} (E = {plain(pooled)})."
     return TrialView(bool(flags.any()), sentence, names, errors, pooled, ratio, p_values, flags)

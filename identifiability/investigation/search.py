@@ -23,7 +23,7 @@ from identifiability.investigation.candidates import (
     starting_values,
 )
 from identifiability.joint.effects import EFFECTS, Effect
-from identifiability.joint.model import Model
+from identifiability.joint.model import KBI, Model
 
 DECISIVE = 10.0
 """Difference of the information criterion that counts as decisive (Kass & Raftery 1995: more than
@@ -32,6 +32,11 @@ MOST_EFFECTS = 3
 _WORKERS = 2
 _WITHIN_REACH = 0.5  # share of the best gain at which a candidate is worth refining or swapping
 _MOST_REFINED, _MOST_SWAPS = 3, 4
+_SHARE, _SHARE_UNKNOWN_NOISE = 1 / 3, 0.1
+"""Share of the remaining misfit that an effect must remove, and the same where the noise is not
+known: conventions."""
+_NEAR_FLOOR = 1.5
+_SCREENED = 6  # effects that are fitted at every step after the first
 _WORTH, _LEAST_FINISHED = 0.3, 4  # share of the best gain at a glance, and number, to be finished
 
 Progress = Callable[[str, int, int], None]
@@ -75,11 +80,14 @@ class Step:
         All candidates, best first.
     chosen : str
         Effect that was added, empty where none was admitted.
+    screened_out : tuple of str
+        Effects that were not fitted at this step, because their signature is not in the residual.
     """
 
     before: Candidate
     ranking: tuple[Ranked, ...]
     chosen: str
+    screened_out: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,14 +183,47 @@ class Searcher:
     def rank(self, current: Candidate) -> Step:
         """Add every effect of the library to a model, refit, and rank."""
         keys = [key for key in self.library if key not in current.keys]
-        fitted = self._fit_all(
-            f"adding to {_named(current)}",
-            [(current.model + self.library[k](), k) for k in keys],
-            current,
-        )
+        kept = self._screen(keys, current)
+        jobs = [(current.model + self.library[key](), key) for key in kept]
+        fitted = self._fit_all(f"adding to {_named(current)}", jobs, current)
         ranking = self._refine(self._ranked(fitted, current), current)
         chosen = next((r.key for r in ranking if r.passes), "")
-        return Step(current, tuple(ranking), chosen)
+        return Step(current, tuple(ranking), chosen, tuple(k for k in keys if k not in kept))
+
+    def _screen(self, keys: Sequence[str], current: Candidate) -> list[str]:
+        """Effects worth a refit: all at the first step, later those whose signature is there.
+
+        The signature is the change of KBI's response by a small effect, at the shapes that a fit
+        would start from and at the one it had alone; of it and of the residual only the part
+        counts that the model's own parameters cannot absorb.
+        """
+        if not current.keys or len(keys) <= _SCREENED:
+            return list(keys)
+        fitted = self.bench.evidence.fitted
+        problem = self.bench.problem(current.model, fitted, refined=current.refined)
+        theta = current.model.vector(current.values)[list(problem.free)]
+        basis, _ = np.linalg.qr(problem.jacobian(theta))
+        left = _outside(basis, problem.residuals(theta))
+        joint = {name: current.values[name] for name in ("K", "B", "I")}
+        plain = self.bench.problem(KBI(), fitted).residuals(np.array(list(joint.values())))
+        scores = {}
+        for key in keys:
+            model = KBI() + self.library[key]()
+            alone = self.bench.problem(model, fitted)
+            shapes = starting_values(model, joint)
+            known = self.known.get((model.effect_keys, ()))
+            if known is not None and not known.failure:
+                shapes.append({**known.values, **joint})
+            best = 0.0
+            for shape in shapes:
+                change = alone.residuals(model.vector(shape)[list(alone.free)]) - plain
+                signature = _outside(basis, change)
+                size = float(signature @ signature)
+                if np.isfinite(size) and size > 0:
+                    best = max(best, float(signature @ left) ** 2 / size)
+            scores[key] = best
+        ranked = sorted(keys, key=lambda key: -scores[key])
+        return [key for key in keys if key in ranked[:_SCREENED]]
 
     def _fit_all(
         self, what: str, jobs: Sequence[tuple[Model, str]], current: Candidate
@@ -277,6 +318,8 @@ class Searcher:
             reason = "no decisive evidence"
         elif not self._held_out_agrees(candidate, current, held):
             reason = "the held-out trials do not agree"
+        elif not self._matters(candidate, current):
+            reason = "removes too little of what is left"
         return Ranked(key, candidate, gain, held, not reason, reason)
 
     def _held_out_agrees(self, candidate: Candidate, current: Candidate, held: float) -> bool:
@@ -287,6 +330,24 @@ class Searcher:
         samples = effective_samples(candidate.held_out)
         chance = 2 * np.sqrt(max(fit_gain, 0.0) / samples)
         return bool(held > 0.25 * fit_gain - chance and held > 0)
+
+    def _matters(self, candidate: Candidate, current: Candidate) -> bool:
+        """Whether an effect removes a fair share of the misfit that the model before left.
+
+        No equation is exact, and with enough data the evidence for mending one with another is
+        always decisive. What is left near the noise floor is not judged by its share.
+        """
+        evidence = self.bench.evidence
+        part = evidence.held_out or evidence.fitted
+        floor = evidence.noise_floor(part)
+        before, after = (
+            (c.held_out if evidence.held_out else c.fitted).error for c in (current, candidate)
+        )
+        if floor is None:
+            return after < (1 - _SHARE_UNKNOWN_NOISE) * before
+        if before < _NEAR_FLOOR * floor:
+            return True
+        return after - floor < (1 - _SHARE) * (before - floor)
 
     def _refine(self, ranking: list[Ranked], current: Candidate) -> list[Ranked]:
         """Free the refining parameters of the best candidates; keep them where it pays."""
@@ -334,10 +395,11 @@ class Searcher:
 
     def _swaps(self, key: str, current: Candidate, baseline: Candidate) -> list[Ranked]:
         """Other effects in the place of one, ranked against the model with it."""
-        rest = current.model.without(key)
+        # Others start from the best fit without the effect, not from what is left of this one.
+        rest = self.fit(current.model.without(key), baseline, refined=current.refined)
         likely = self._likely(key, current, baseline)
-        jobs = [(rest + self.library[other](), other) for other in likely]
-        fitted = self._fit_all(f"in the place of {key}", jobs, current)
+        jobs = [(rest.model + self.library[other](), other) for other in likely]
+        fitted = self._fit_all(f"in the place of {key}", jobs, rest)
         if key in current.refined:
             # A rival to a refined effect is refined too, or the comparison is not fair.
             fitted = [(other, self._richer(plain, other)) for other, plain in fitted]
@@ -371,7 +433,7 @@ class Searcher:
         for key in [k for k in current.keys if k not in baseline.keys]:
             if len(current.keys) - len(baseline.keys) < 2:
                 break
-            smaller = self.fit(current.model.without(key), current, refined=current.refined)
+            smaller = self.fit(current.model.without(key), baseline, refined=current.refined)
             if smaller.failure:
                 continue
             extra = len(current.free) - len(smaller.free)
@@ -391,7 +453,7 @@ class Searcher:
                 (
                     key,
                     self.fit(
-                        below.model + _effect_of(final.model, key), final, refined=final.refined
+                        below.model + _effect_of(final.model, key), below, refined=final.refined
                     ),
                 )
                 for key in left
@@ -438,6 +500,11 @@ def baseline(
         start = guess | {"K": factor * guess["K"], "B": guess["B"] / factor}
         starts += starting_values(model, start, most=3 if model.effects else 1)
     return bench.fit(model, starts, refined=refined)
+
+
+def _outside(basis: np.ndarray, vector: np.ndarray) -> np.ndarray:
+    """Part of a vector outside the span of an orthonormal basis."""
+    return np.asarray(vector - basis @ (basis.T @ vector))
 
 
 def _effect_of(model: Model, key: str) -> Effect:

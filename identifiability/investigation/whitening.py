@@ -117,11 +117,17 @@ class Whitening:
         weight : array, shape (n,), or float
             Weight of each, 1 on average.
         """
-        if not self.coefficients.size:
-            return 0.0
-        turn = np.exp(-2j * np.pi * np.outer(np.arange(1, self.coefficients.size + 1), frequency))
-        slope = np.mean(weight * 2 * (turn / (1 - self.coefficients @ turn)).real, axis=1)
+        slope = self._slope(frequency, weight)
         return float(slope @ self.covariance @ slope)
+
+    def lift(self, frequency: np.ndarray) -> float:
+        """Relative rise of the whitened noise's power that the caution at low frequencies costs."""
+        return max(0.0, float(self._slope(frequency, 1.0) @ _caution(self.covariance)))
+
+    def _slope(self, frequency: np.ndarray, weight: np.ndarray | float) -> np.ndarray:
+        """Derivative of the logarithm of the noise's power by the coefficients, shape (p,)."""
+        turn = np.exp(-2j * np.pi * np.outer(np.arange(1, self.coefficients.size + 1), frequency))
+        return np.mean(weight * 2 * (turn / (1 - self.coefficients @ turn)).real, axis=1)
 
     def block_slack(self, m: int) -> float:
         """The same for blocks of m samples."""
@@ -187,6 +193,7 @@ def _from_leads(leads: Sequence[np.ndarray]) -> Whitening:
         scaled = [x / sd for x, sd in zip(leads, sds, strict=True)]
         coefficients, covariance = _autoregression(scaled, float(np.mean(centred / lengths)))
         p = coefficients.size
+        coefficients = coefficients + _caution(covariance)
         inverse = np.concatenate([[1.0], -coefficients])
         energy = [np.sum(np.convolve(x, inverse)[p : x.size] ** 2) for x in leads]
         dof = lengths - p - centred
@@ -196,6 +203,15 @@ def _from_leads(leads: Sequence[np.ndarray]) -> Whitening:
     # A level within the scatter was left in place: it is as uncertain as one that was taken off.
     offsets = sds / max(1 - coefficients.sum(), _LEAST_GAP) / np.sqrt(lengths)
     return Whitening(True, coefficients, sds, dof, offsets, covariance)
+
+
+def _caution(covariance: np.ndarray) -> np.ndarray:
+    """Change of the coefficients that raises their sum by its standard error.
+
+    Too low a sum leaves slow noise that would look like a misfit, so they err to the other side.
+    """
+    together = covariance.sum(axis=1)
+    return np.asarray(together / np.sqrt(max(float(together.sum()), 1e-300)))
 
 
 def _from_residuals(part: Sequence[Ready], residual: Residual) -> Whitening:

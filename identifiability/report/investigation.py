@@ -108,6 +108,9 @@ def write_report(findings: Findings, record: dict[str, Any], out: Path) -> list[
             f"{DECISIVE:.0f} is decisive; an effect is admitted if the held-out trials agree.",
         )
         _ranking_table(page, step)
+        if step.screened_out:
+            names = ", ".join(key.replace("_", " ") for key in step.screened_out)
+            page.paragraph(f"Not fitted at this step, their signature not being there: {names}.")
     page.paragraph(f"The search ended because {search.ended}.")
     if search.alternatives and len(search.ladder) > 1:
         page.paragraph("In the place of each effect of the final model, the best others:")

@@ -125,7 +125,7 @@ class StretchReflex(Effect):
             jnp.minimum(1.0, 1.0 - asymmetry) * jnp.maximum(-signal - quiet, 0.0),
         )
 
-        def follow(target: ArrayLike, state: Array) -> Array:
+        def follow(target: Array, state: Array) -> Array:
             gap = target - state
             return gap / jnp.where(gap > 0, tau, tau * ratio)
 

@@ -1,0 +1,87 @@
+"""The effects that are held to the contract, run all alike so that little has to be compiled."""
+
+from functools import partial
+
+import jax
+import numpy as np
+
+from identifiability.joint.effects import EFFECTS
+from identifiability.joint.effects.base import Effect
+from identifiability.joint.integrator import integrate
+from identifiability.joint.parameters import Parameter
+from identifiability.joint.response import drive_arrays
+from identifiability.measurement.perturbations import SampledTorque, imposed_motion
+
+
+class ParallelSpring(Effect):
+    """A second spring over the joint, the same in both directions: what one's own effect needs."""
+
+    key = "parallel_spring"
+    title = "a second spring"
+    place = "joint"
+    linear = True
+    parameters = (
+        Parameter("stiffness", "k", "Nm/rad", 5.0, 0.0, 100.0, "parallel stiffness", null=0.0),
+    )
+    references = ("Hooke 1678, De Potentia Restitutiva",)
+
+    def torque(self, p, motion, states, delayed):
+        return p[0] * motion.angle
+
+
+KINDS = EFFECTS | {ParallelSpring.key: ParallelSpring}
+LINEAR = [key for key in sorted(KINDS) if KINDS[key].linear]
+
+# All runs have this many samples and go in batches of this size: two compilations for each model.
+TIME = np.arange(201) * 1e-3
+BATCH = 64
+BUMP = np.where(TIME < 0.1, np.sin(np.pi * TIME / 0.1) ** 4, 0.0)
+TORQUE = 10 * BUMP
+DRIVES = {
+    "torque": SampledTorque(TORQUE).drive(TIME),
+    "angle": imposed_motion(TIME, 0.05 * BUMP),
+}
+KBI_VALUES = {"K": 50.0, "B": 2.0, "I": 0.1}
+
+# Values away from the plain form, and from where a response bends as a function of a parameter:
+# an asymmetry or a threshold of 0, a delay of whole samples.
+GENERIC = {
+    "coulomb_friction": {"breakaway": 0.3},
+    "hill_force_velocity": {"asymmetry": 0.3},
+    "nonlinear_tendon": {"asymmetry": 0.3},
+    "sensor_delay": {"delay": 0.0033},
+    "sensor_drift": {"bend": 0.1},
+    "sensor_lowpass": {"second_time_constant": 0.002},
+    "short_range_stiffness": {"renewal": 5.0},
+    "stretch_reflex": {"asymmetry": 0.3, "threshold": 0.2, "off_ratio": 1.7, "delay": 0.0203},
+}
+
+
+def values_of(model, **changes):
+    """Parameter vector: the KBI above, effects at generic values, some changed by name."""
+    values = dict(zip(model.parameter_names, model.nominal, strict=True)) | KBI_VALUES
+    for key in model.effect_keys:
+        values |= {f"{key}.{name}": value for name, value in GENERIC.get(key, {}).items()}
+    return model.vector(values | changes)
+
+
+def nulls_of(effect):
+    return {f"{effect.key}.{p.name}": p.null for p in effect.parameters if p.null is not None}
+
+
+def respond(model, values, drive, order=4):
+    """Integrated responses with one step a sample, shape (..., 201)."""
+    values = np.asarray(values)
+    flat = values.reshape(-1, values.shape[-1])
+    full = np.concatenate([flat, np.repeat(flat[-1:], -len(flat) % BATCH, axis=0)])
+    arrays, fine = drive_arrays(drive), drive.refined(1)
+    parts = [
+        np.asarray(_responses(model, order, full[i : i + BATCH], arrays, fine))
+        for i in range(0, len(full), BATCH)
+    ]
+    return np.concatenate(parts)[: len(flat)].reshape(*values.shape[:-1], -1)
+
+
+@partial(jax.jit, static_argnums=(0, 1))
+def _responses(model, order, thetas, arrays, fine):
+    return jax.vmap(lambda theta: integrate(model, theta, arrays, fine, 1, order))(thetas)

@@ -1,0 +1,116 @@
+"""How effects are added to a joint: names, order, mistakes, and every pair of them together."""
+
+import itertools
+import pickle
+
+import numpy as np
+import pytest
+from kinds import DRIVES, KBI_VALUES, KINDS, nulls_of, respond, values_of
+from oracles import agree
+
+from identifiability.errors import InputError
+from identifiability.joint.model import KBI, KBI_PARAMETERS
+
+
+@pytest.fixture(params=sorted(KINDS))
+def effect(request):
+    return KINDS[request.param]()
+
+
+def test_it_composes(effect):
+    model = KBI() + effect
+    assert model.effects == (effect,)
+    expected = [p.name for p in KBI_PARAMETERS]
+    expected += [f"{effect.key}.{p.name}" for p in effect.parameters]
+    assert list(model.parameter_names) == expected
+    assert model.without(effect.key) == KBI()
+    assert model.references == effect.references
+    with pytest.raises(InputError, match=f"no effect '{effect.key}'"):
+        KBI().without(effect.key)
+
+
+# In every session each effect is paired with one of each place; all pairs on demand.
+PARTNERS = {"series_tendon", "coulomb_friction", "stretch_reflex", "sensor_lowpass"}
+PAIRS = [
+    pytest.param(*pair, marks=() if PARTNERS & set(pair) else pytest.mark.long)
+    for pair in itertools.combinations(sorted(KINDS), 2)
+]
+
+
+@pytest.mark.parametrize(("first", "second"), PAIRS)
+def test_pairs_compose(first, second):
+    pair = KINDS[first](), KINDS[second]()
+    model, other = KBI() + pair[0] + pair[1], KBI() + pair[1] + pair[0]
+    assert model == other
+    assert hash(model) == hash(other)
+    assert model.parameter_names == other.parameter_names
+    assert repr(model) == repr(other)
+    alone = model.without(first), model.without(second)
+    assert alone == (KBI() + pair[1], KBI() + pair[0])
+
+    nominal = dict(zip(model.parameter_names, values_of(model), strict=True))
+    strengths = [next(iter(nulls_of(effect))) for effect in pair]
+    stronger = [values_of(model, **{name: 1.5 * nominal[name]}) for name in strengths]
+    vanished = [values_of(model, **nulls_of(effect)) for effect in pair]
+    rows = np.where(np.isfinite(vanished), vanished, 1e7)
+    drive = DRIVES["torque"]
+    both, *changed = respond(model, np.stack([values_of(model), *stronger, *rows]), drive)
+    assert np.all(np.isfinite([both, *changed]))
+    for found in changed[:2]:
+        assert np.max(np.abs(found - both)) > 1e-5 * np.max(np.abs(both))
+    for effect, rest, found in zip(pair, alone, changed[2:], strict=True):
+        if effect.place == rest.effects[0].place == "series":
+            continue  # two tendons lie side by side: an infinite one leaves nothing to the other
+        rtol = 1e-3 if effect.place == "series" else 1e-9
+        agree(found, respond(rest, values_of(rest), drive), rtol)
+
+
+def test_all_effects_compose():
+    model = KBI()
+    for kind in KINDS.values():
+        model = model + kind()
+    assert len(set(model.parameter_names)) == 3 + sum(len(e.parameters) for e in KINDS.values())
+    assert model.effect_keys == tuple(sorted(KINDS))
+    nominal = dict(zip(model.parameter_names, values_of(model), strict=True))
+    strengths = [next(iter(nulls_of(effect))) for effect in model.effects]
+    rows = [values_of(model), *(values_of(model, **{n: 1.5 * nominal[n]}) for n in strengths)]
+    both, *changed = respond(model, np.stack(rows), DRIVES["torque"])
+    assert np.all(np.isfinite(both))
+    for found in changed:
+        assert np.max(np.abs(found - both)) > 1e-5 * np.max(np.abs(both))
+
+
+def test_adding_it_twice_is_refused(effect):
+    with pytest.raises(InputError, match=f"already has the effect '{effect.key}'; add it once"):
+        KBI() + effect + effect
+
+
+def test_adding_the_class_is_explained(effect):
+    kind = type(effect)
+    with pytest.raises(TypeError, match=f"found the class {kind.__name__}; write for example"):
+        KBI() + kind
+
+
+def test_adding_something_else_is_explained():
+    with pytest.raises(TypeError, match="only effects can be added to a joint model, found 3"):
+        KBI() + 3
+
+
+def test_it_pickles(effect):
+    model = KBI() + effect
+    copy = pickle.loads(pickle.dumps(model))
+    assert copy == model
+    assert hash(copy) == hash(model)
+    assert copy.parameters == model.parameters
+
+
+def test_effects_are_equal_by_kind_alone(effect):
+    assert effect == type(effect)()
+    others = [kind() for key, kind in KINDS.items() if key != effect.key]
+    assert effect not in others
+
+
+def test_values_must_be_given_for_exactly_the_parameters(effect):
+    model = KBI() + effect
+    with pytest.raises(InputError, match="give exactly one value for each"):
+        model.vector(KBI_VALUES)

@@ -1,0 +1,313 @@
+"""The investigation: evidence, candidates, search, verdict, on data of an independent simulator."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from identifiability.benchmark.cases import cases
+from identifiability.benchmark.score import matched, outcome_of, wilson
+from identifiability.cli.main import main
+from identifiability.errors import InputError
+from identifiability.investigation.candidates import Workbench, owners, starting_values
+from identifiability.investigation.evidence import gather
+from identifiability.investigation.investigate import Investigation
+from identifiability.investigation.search import DECISIVE
+from identifiability.joint.effects import EFFECTS
+from identifiability.joint.effects.base import Effect
+from identifiability.joint.model import KBI
+from identifiability.joint.parameters import Parameter
+from identifiability.joint.response import simulate
+from identifiability.measurement.perturbations import SampledTorque
+from identifiability.measurement.trials import Trial
+
+TIME = np.arange(500) / 1000
+JOINT = {"K": 30.0, "B": 1.0, "I": 0.1}
+
+
+def torque(kind: str, size: float) -> np.ndarray:
+    if kind == "pulse":
+        return size * ((TIME > 0.05) & (TIME <= 0.1))
+    return size * (TIME > 0.05)
+
+
+def trials(model, values, seed=1, noise=1e-3, conditions=None):
+    """Torque-driven trials of a model of the library, with white noise of a relative size."""
+    conditions = conditions or [("pulse", 8), ("pulse", -16), ("step", 4), ("step", -6)]
+    rng = np.random.default_rng(seed)
+    theta = model.vector(values)
+    out = []
+    for i, (kind, size) in enumerate(conditions):
+        drive = SampledTorque(torque(kind, size)).drive(TIME)
+        angle = simulate(model, theta, drive, substeps=None if model.linear else 2)
+        sd = noise * np.sqrt(np.mean(angle**2))
+        noisy = angle + sd * rng.standard_normal(angle.size)
+        out.append(Trial(TIME, torque(kind, size), noisy, name=f"t{i}", condition=kind))
+    return out
+
+
+HELD = [("pulse", -8), ("step", 6)]
+
+
+class LateSpring(Effect):
+    """A user's own effect: a stiffness that acts on one side only."""
+
+    key = "late_spring"
+    title = "a spring on one side"
+    place = "joint"
+    linear = False
+    parameters = (
+        Parameter("stiffness", "k", "Nm/rad", 10.0, 0.0, 500.0, "stiffness of the stop", null=0.0),
+    )
+
+    def torque(self, p, motion, states, delayed):
+        return p[0] * _positive(motion.angle)
+
+
+def _positive(angle):
+    import jax.numpy as jnp
+
+    return jnp.maximum(angle, 0.0)
+
+
+# Evidence
+
+
+def test_held_out_trials_are_chosen_by_amplitude():
+    chosen = gather(trials(KBI(), JOINT))
+    names = {r.name for r in chosen.held_out}
+    assert "t1" in names  # the largest: an extrapolation
+    assert 1 <= len(names) <= 2
+    assert len(chosen.fitted) + len(chosen.held_out) == 4
+
+
+def test_noise_floor_is_that_of_the_noise():
+    # 50 samples a trial: the variance is known to 2/sqrt(2*50*4) = 10 % (one standard error 7 %).
+    floors = [gather(trials(KBI(), JOINT, seed=s)).noise_floor() for s in range(20)]
+    assert np.mean(floors) == pytest.approx(1e-6, rel=4 * 0.1 / np.sqrt(20))
+
+
+def test_one_record_is_split_in_halves():
+    both = [("pulse", 8)]
+    first = trials(KBI(), JOINT, conditions=both)[0]
+    t = np.arange(1000) / 1000
+    double = Trial(
+        t, np.tile(first.torque, 2), np.tile(first.angle, 2), name="long", condition="pulse"
+    )
+    evidence = gather([double])
+    assert evidence.how_held_out == "the second half of the record"
+    assert evidence.fitted[0].last == evidence.held_out[0].first == 500
+
+
+def test_a_trial_that_moves_in_one_half_only_is_refused():
+    one = trials(KBI(), JOINT, conditions=[("pulse", 8)])[0]
+    still = replace(one, angle=np.where(TIME < 0.25, one.angle, 0.0))
+    with pytest.raises(InputError, match="one half only"):
+        gather([still])
+
+
+def test_pieces_of_a_long_record_leave_what_the_whole_leaves(monkeypatch):
+    t = np.arange(3000) / 1000
+    rng = np.random.default_rng(3)
+    u = np.repeat(rng.choice([-2.0, 2.0], 60), 50)
+    model = KBI()
+    theta = model.vector(JOINT)
+    angle = simulate(model, theta, SampledTorque(u).drive(t)) + 1e-4 * rng.standard_normal(t.size)
+    record = Trial(t, u, angle, name="long")
+    values = JOINT | {"K": 33.0}
+    whole = Workbench(gather([record])).residual(model, values, gather([record]).fitted)
+    monkeypatch.setattr("identifiability.investigation.evidence._LONGEST", 800)
+    evidence = gather([record])
+    bench = Workbench(evidence)
+    problem = bench.problem(model, evidence.fitted)
+    assert len(problem.observations) > 2
+    assert set(owners(problem.observations)) == {0}
+    cut = bench.residual(model, values, evidence.fitted)
+    # A second before each piece is enough for the joint to forget how it was started.
+    np.testing.assert_allclose(cut.by_trial[0], whole.by_trial[0], atol=2e-4 * np.ptp(angle))
+
+
+# Candidates
+
+
+def test_starts_contain_the_smaller_model():
+    model = KBI() + EFFECTS["cubic_stiffness"]()
+    starts = starting_values(model, JOINT)
+    assert all(start["K"] == 30.0 for start in starts)
+    assert abs(starts[0]["cubic_stiffness.coefficient"]) < 1.0
+
+
+def test_a_tendon_starts_with_a_muscle_that_makes_up_for_it():
+    model = KBI() + EFFECTS["series_tendon"]()
+    for start in starting_values(model, JOINT):
+        soft = start["series_tendon.stiffness"]
+        assert start["K"] * soft / (start["K"] + soft) == pytest.approx(30.0, rel=0.1)
+
+
+def test_a_candidate_without_a_finite_response_is_recorded_not_raised():
+    class Explosive(LateSpring):
+        key = "explosive"
+
+        def torque(self, p, motion, states, delayed):
+            return p[0] * _positive(motion.angle) / 0.0
+
+    bench = Workbench(gather(trials(KBI(), JOINT)))
+    model = KBI() + Explosive()
+    found = bench.fit(model, starting_values(model, JOINT))
+    assert found.failure
+    assert not np.isfinite(found.fitted.error)
+
+
+# Search and verdict: a small library, to compile little
+
+
+SMALL = {k: EFFECTS[k] for k in ("cubic_stiffness", "quadratic_stiffness", "sensor_delay")}
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_nothing_is_added_where_nothing_is_missing(seed):
+    study = Investigation(
+        trials(KBI(), JOINT, seed=seed),
+        trials(KBI(), JOINT, seed=seed + 100, conditions=HELD),
+        library=SMALL,
+    )
+    found = study.search(study.fit(KBI()))
+    assert found.final.keys == ()
+    assert max(r.evidence for r in found.steps[0].ranking) < DECISIVE
+
+
+def test_the_missing_effect_is_found_and_the_error_falls_to_the_floor():
+    model = KBI() + EFFECTS["cubic_stiffness"]()
+    values = JOINT | {"cubic_stiffness.coefficient": 120.0}
+    study = Investigation(
+        trials(model, values), trials(model, values, seed=9, conditions=HELD), library=SMALL
+    )
+    found = study.search(study.fit(KBI()))
+    assert found.final.keys == ("cubic_stiffness",)
+    assert found.final.values["cubic_stiffness.coefficient"] == pytest.approx(120.0, rel=0.05)
+    assert found.final.held_out.error < 1.3e-6
+    assert found.baseline.held_out.error > 20e-6
+
+
+def test_a_users_own_effect_competes_with_the_others():
+    model = KBI() + LateSpring()
+    values = JOINT | {"late_spring.stiffness": 12.0}
+    study = Investigation(
+        trials(model, values),
+        trials(model, values, seed=9, conditions=HELD),
+        library=SMALL | {LateSpring.key: LateSpring},
+    )
+    found = study.search(study.fit(KBI()))
+    assert found.final.keys == ("late_spring",)
+
+
+def test_what_the_library_does_not_know_is_not_named():
+    model = KBI() + LateSpring()
+    values = JOINT | {"late_spring.stiffness": 12.0}
+    study = Investigation(
+        trials(model, values),
+        trials(model, values, seed=9, conditions=HELD),
+        library={"sensor_delay": EFFECTS["sensor_delay"]},
+    )
+    found = study.search(study.fit(KBI()))
+    assert found.final.held_out.error > 3 * study.evidence.noise_floor(study.evidence.held_out)
+
+
+# Scores
+
+
+@pytest.mark.parametrize(
+    ("kind", "truth", "verdict", "named", "expected"),
+    [
+        ("known", ("gravity",), "explained", [["gravity"]], "right"),
+        (
+            "known",
+            ("gravity",),
+            "one_of",
+            [["quadratic_stiffness", "gravity"]],
+            "right among others",
+        ),
+        ("known", ("gravity", "second_mass"), "explained", [["gravity"]], "partly"),
+        ("known", ("gravity",), "explained", [["gravity"], ["second_mass"]], "wrong"),
+        ("known", ("gravity",), "unknown_static", [["gravity"]], "abstained"),
+        ("none", (), "nothing_missing", [], "right"),
+        ("none", (), "explained", [["gravity"]], "wrong"),
+        ("unknown", (), "unknown_memory", [], "right"),
+        ("unknown", (), "explained", [["gravity"]], "wrong"),
+        ("unknown", (), "nothing_missing", [], "abstained"),
+        ("unrepeatable", (), "unrepeatable", [], "right"),
+    ],
+)
+def test_outcomes(kind, truth, verdict, named, expected):
+    assert outcome_of(kind, truth, verdict, named) == expected
+
+
+def test_each_effect_needs_a_set_of_its_own():
+    assert matched(("a", "b"), [["a", "b"]]) == 1
+    assert matched(("a", "b"), [["a", "b"], ["b"]]) == 2
+
+
+def test_wilson_interval():
+    # Newcombe 1998, Stat Med 17: 857-872, table I: 15 of 148, 0.0624 to 0.1605.
+    assert wilson(15, 148) == pytest.approx((0.0624, 0.1605), abs=1e-4)
+    assert wilson(0, 20)[0] == 0.0
+
+
+# The command
+
+
+def write(folder, trial):
+    path = folder / f"{trial.name}.csv"
+    rows = np.column_stack([trial.time, trial.torque, trial.angle])
+    np.savetxt(
+        path, rows, delimiter=",", header="time_s,torque_Nm,angle_rad", comments="", fmt="%.9g"
+    )
+    return path
+
+
+def test_the_command_finds_a_hidden_effect(tmp_path, capsys):
+    spec = next(s for s in cases("quick", 1) if s.kind == "known")
+    case = spec.build()
+    folder = tmp_path / "trials"
+    folder.mkdir()
+    for trial in case.fit:
+        write(folder, trial)
+    held = []
+    for trial in case.held_out:
+        held += ["--hold-out", str(write(tmp_path, replace(trial, name=f"held_{trial.name}")))]
+    out = tmp_path / "out"
+    code = main(["investigate", str(folder), *held, "--no-widths", "--out", str(out)])
+    assert code == 0
+    plain = json.loads((out / "investigation.json").read_text())
+    assert plain["schema"] == 1
+    assert {"effects", "error_fit", "error_held_out", "noise_floor"} <= set(plain["baseline"])
+    verdict = plain["verdict"]
+    assert outcome_of(case.kind, case.truth, verdict["kind"], verdict["equivalence_sets"]) in (
+        "right",
+        "right among others",
+    )
+    errors = [plain["baseline"]["error_held_out"], *(s["error_held_out"] for s in plain["steps"])]
+    assert errors[-1] < 0.2 * errors[0]
+    page = (out / "report.html").read_text()
+    assert verdict["sentence"][:40] in page
+    assert "http://" not in page.replace("http://www.w3.org", "")
+    assert 'src="data:image/png' in page
+    assert verdict["sentence"] in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["missing.csv"], "missing.csv"),
+        (["."], "no CSV file"),
+    ],
+)
+def test_bad_input_is_one_sentence(arguments, message, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    out = tmp_path / "out"
+    assert main(["investigate", *arguments, "--out", str(out)]) == 2
+    error = capsys.readouterr().err.strip()
+    assert message in error
+    assert "Traceback" not in error
+    assert not out.exists()
