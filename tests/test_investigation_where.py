@@ -382,7 +382,8 @@ def test_perturbations_of_a_long_record_have_levels_of_their_own():
     rng = np.random.default_rng(11)
     n, dwell = 8000, 250
     time = np.arange(n) * 1e-3
-    heights = np.repeat(rng.permutation(np.linspace(-0.03, 0.03, n // dwell)), dwell)
+    sizes = rng.uniform(0.01, 0.03, n // dwell) * (-1.0) ** np.arange(n // dwell)
+    heights = np.repeat(sizes, dwell)
     kernel = np.hanning(41)
     angle = np.convolve(heights, kernel / kernel.sum(), mode="same")
     velocity = np.gradient(angle, 1e-3)

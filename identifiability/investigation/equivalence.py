@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from identifiability.investigation.candidates import Candidate, effective_samples
+from identifiability.investigation.candidates import Candidate, difference, effective_samples
 from identifiability.investigation.search import DECISIVE, Ranked
 from identifiability.joint.effects.base import Effect
 
@@ -35,16 +35,20 @@ def equivalence_set(
     list of str
         Best first.
     """
-    samples = effective_samples(final.fitted)
-    held_samples = effective_samples(final.held_out) if final.held_out.by_trial else 0.0
     members = []
     for r in alternatives:
         if r.candidate.failure or key in library[r.key].refines:
             continue
+        moved = difference(final.fitted, r.candidate.fitted)
         extra = len(r.candidate.free) - len(final.free)
-        unpenalised = r.evidence + max(0, extra) * np.log(samples)
-        if unpenalised > -DECISIVE and held_samples * r.held_out_gain > -DECISIVE:
-            members.append(r.key)
+        penalty = max(0, extra) * np.log(effective_samples(final.fitted, moved))
+        if r.evidence + penalty <= -DECISIVE:
+            continue
+        if final.held_out.by_trial:
+            moved = difference(final.held_out, r.candidate.held_out)
+            if effective_samples(final.held_out, moved) * r.held_out_gain <= -DECISIVE:
+                continue
+        members.append(r.key)
     alike = [k for k in library[key].equivalent if k in library and k not in members]
     found = list(dict.fromkeys([key, *alike, *members]))
     # A muscle has a tendon: of effects of one form the anatomical name comes first.

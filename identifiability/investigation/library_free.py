@@ -660,9 +660,7 @@ def background(traces: Sequence[Trace], candidate: Candidate, torque_in_time: Te
         local.append(np.hstack([constant, noisy]))
         roots.append(np.diag([1.0, *(np.sqrt(variance),) * noisy.shape[1]]))
     sizes = [max(abs(candidate.values[name]), 1e-3) for name in candidate.free]
-    return Background(
-        tuple(local), roots, tuple(t.nuisance for t in traces), np.diag(sizes)
-    )
+    return Background(tuple(local), roots, tuple(t.nuisance for t in traces), np.diag(sizes))
 
 
 def _torque_noise(trace: Trace, nodes: np.ndarray) -> float:

@@ -202,7 +202,8 @@ class TrialView(View):
     pooled : float
         E over all.
     ratio : array, shape (n,)
-        Mean square of the residual over that of the noise, or over the others'.
+        Mean square of the residual over that of the noise; where that is unknown, error or mean
+        square over the others', whichever is less.
     p_values, flags : array, shape (n,)
     """
 
@@ -510,25 +511,22 @@ def _segments(
 def _against_lead(
     scene: _Scene, hertz: np.ndarray, power: np.ndarray, owners: Sequence[int]
 ) -> float:
-    """Probability that a band's power exceeds that of the leads in the same band, by chance.
+    """Probability that a band's power exceeds the highest peak of the leads in it, by chance.
 
-    The noise's spectrum is a smooth fit to the leads; a hum stands out from it in both.
+    The noise's spectrum is a smooth fit to the leads; a hum stands out from it in both. Bands below
+    what the leads resolve are left to the fit.
     """
-    if not scene.noise.known:
-        return 0.0
-    quiet, n = 0.0, 0
-    for i in dict.fromkeys(owners):
+    trials = list(dict.fromkeys(owners))
+    quiet = np.zeros(hertz.size)
+    for i in trials:
         ready = scene.parts[i]
-        lead = np.asarray(ready.response[: ready.lead.n_samples])[:, None]
-        white = scene.noise.white(i, lead)[scene.noise.coefficients.size :, 0]
-        spectrum = np.abs(np.fft.rfft(white)) ** 2 / white.size
-        at = np.fft.rfftfreq(white.size, ready.drive.interval)
-        inside = (at >= hertz[0]) & (at <= hertz[-1])
-        quiet += float(spectrum[inside].sum())
-        n += int(inside.sum())
-    if not n:
-        return 0.0
-    return float(stats.f.sf(power.mean() / (quiet / n), 2 * power.size, 2 * n))
+        n, interval = ready.lead.n_samples, ready.drive.interval
+        if not scene.noise.known or hertz[-1] * n * interval < 1:
+            return 0.0
+        white = scene.noise.white(i, np.asarray(ready.response[:n])[:, None])[:, 0]
+        turn = np.exp(-2j * np.pi * np.outer(hertz, np.arange(n) * interval))
+        quiet += np.abs(turn @ white) ** 2 / n / len(trials)
+    return float(stats.f.sf(power.mean() / quiet.max(), 2 * power.size, 2 * len(trials)))
 
 
 def _octaves(highest: int) -> np.ndarray:
@@ -918,11 +916,17 @@ def _by_trial(
             total = sum(float(np.sum(scene.blocks[i].values ** 2)) for i in members)
             ratio[k], p_values[k] = excess(total, portions, scene.slack)
     elif n > 1:
+        # The noise may be alike in all trials, or in proportion to the response: exceed both.
+        squares = [float(np.mean(r**2)) for r in fitted.by_trial]
         samples = [r.size / correlation_time((r,)) for r in fitted.by_trial]
         counts = np.array([sum(samples[i] for i in members) for _, members in groups])
+        levels = np.array([np.mean([squares[i] for i in members]) for _, members in groups])
         for k in range(n):
             others = np.arange(n) != k
-            ratio[k] = errors[k] / max(np.average(errors[others], weights=counts[others]), 1e-300)
+            ratio[k] = min(
+                x[k] / max(float(np.average(x[others], weights=counts[others])), 1e-300)
+                for x in (errors, levels)
+            )
             p_values[k] = stats.f.sf(ratio[k], counts[k], counts[others].sum())
     flags = scene.significant(p_values)
     pooled = fitted.error

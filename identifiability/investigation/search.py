@@ -17,8 +17,8 @@ import numpy as np
 
 from identifiability.investigation.candidates import (
     Candidate,
-    Residual,
     Workbench,
+    difference,
     effective_samples,
     starting_values,
 )
@@ -121,11 +121,21 @@ class Search:
     ended: str
 
 
-def evidence_for(larger: Residual, smaller: Residual, extra: int, samples: float) -> float:
-    """Decrease of the information criterion from a smaller to a larger model."""
-    if not np.isfinite(larger.weighted):
+def evidence_for(larger: Candidate, smaller: Candidate, best: Candidate) -> float:
+    """Decrease of the information criterion from one model to another.
+
+    Parameters
+    ----------
+    larger, smaller : Candidate
+    best : Candidate
+        Whose residual is taken for the noise.
+    """
+    if not np.isfinite(larger.fitted.weighted):
         return -np.inf
-    return float(samples * np.log(smaller.weighted / larger.weighted) - extra * np.log(samples))
+    samples = effective_samples(best.fitted, difference(smaller.fitted, larger.fitted))
+    extra = len(larger.free) - len(smaller.free)
+    ratio = smaller.fitted.weighted / larger.fitted.weighted
+    return float(samples * np.log(ratio) - extra * np.log(samples))
 
 
 @dataclass(eq=False)
@@ -302,16 +312,14 @@ class Searcher:
 
     def _ranked(self, fitted: Iterable[tuple[str, Candidate]], current: Candidate) -> list[Ranked]:
         fitted = list(fitted)
-        best = min((c for _, c in fitted), key=lambda c: c.fitted.weighted)
-        samples = effective_samples(best.fitted) if not best.failure else 1.0
-        out = [self._judge(key, c, current, samples) for key, c in fitted]
+        best = _least([current, *(c for _, c in fitted)])
+        out = [self._judge(key, c, current, best) for key, c in fitted]
         return sorted(out, key=lambda r: -r.evidence)
 
-    def _judge(self, key: str, candidate: Candidate, current: Candidate, samples: float) -> Ranked:
+    def _judge(self, key: str, candidate: Candidate, current: Candidate, best: Candidate) -> Ranked:
         if candidate.failure:
             return Ranked(key, candidate, -np.inf, -np.inf, False, candidate.failure)
-        extra = len(candidate.free) - len(current.free)
-        gain = evidence_for(candidate.fitted, current.fitted, extra, samples)
+        gain = evidence_for(candidate, current, best)
         held = held_out_gain(candidate, current)
         reason = ""
         if gain < DECISIVE:
@@ -327,7 +335,8 @@ class Searcher:
             return True
         fit_gain = np.log(current.fitted.weighted / candidate.fitted.weighted)
         # A quarter of the gain, less what chance may take away from it.
-        samples = effective_samples(candidate.held_out)
+        moved = difference(current.held_out, candidate.held_out)
+        samples = effective_samples(candidate.held_out, moved)
         chance = 2 * np.sqrt(max(fit_gain, 0.0) / samples)
         return bool(held > 0.25 * fit_gain - chance and held > 0)
 
@@ -352,26 +361,22 @@ class Searcher:
     def _refine(self, ranking: list[Ranked], current: Candidate) -> list[Ranked]:
         """Free the refining parameters of the best candidates; keep them where it pays."""
         top = ranking[0].evidence
-        if top < DECISIVE:
-            return ranking
         worth = [
             r
             for r in ranking
-            if r.evidence >= max(DECISIVE, _WITHIN_REACH * top) and _refinable(r.candidate, r.key)
+            if r.evidence >= max(0.0, _WITHIN_REACH * top) and _refinable(r.candidate, r.key)
         ][:_MOST_REFINED]
         refined = {}
         for r in worth:
             self.progress(f"refining {r.key}", len(refined) + 1, len(worth))
             more = (*r.candidate.refined, r.key)
-            refined[r.key] = self.fit(r.candidate.model, r.candidate, refined=more)
-        pool = [r.candidate.fitted for r in ranking if not r.candidate.failure]
-        pool += [c.fitted for c in refined.values() if not c.failure]
-        samples = effective_samples(min(pool, key=lambda f: f.weighted))
+            refined[r.key] = self._refined(r.candidate, more)
+        best = _least([current, *(r.candidate for r in ranking), *refined.values()])
         out = []
         for r in ranking:
-            plain = self._judge(r.key, r.candidate, current, samples)
+            plain = self._judge(r.key, r.candidate, current, best)
             if r.key in refined:
-                richer = self._judge(r.key, refined[r.key], current, samples)
+                richer = self._judge(r.key, refined[r.key], current, best)
                 if richer.evidence > plain.evidence + DECISIVE and (
                     richer.passes or not plain.passes
                 ):
@@ -403,17 +408,19 @@ class Searcher:
         if key in current.refined:
             # A rival to a refined effect is refined too, or the comparison is not fair.
             fitted = [(other, self._richer(plain, other)) for other, plain in fitted]
-        samples = effective_samples(
-            min([current, *(c for _, c in fitted)], key=lambda c: c.fitted.weighted).fitted
-        )
-        out = [self._judge(other, c, current, samples) for other, c in fitted]
+        best = _least([current, *(c for _, c in fitted)])
+        out = [self._judge(other, c, current, best) for other, c in fitted]
         return sorted(out, key=lambda r: -r.evidence)
 
     def _richer(self, plain: Candidate, key: str) -> Candidate:
         if plain.failure or not _refinable(plain, key):
             return plain
-        richer = self.fit(plain.model, plain, refined=(*plain.refined, key))
+        richer = self._refined(plain, (*plain.refined, key))
         return plain if richer.failure else richer
+
+    def _refined(self, plain: Candidate, keys: Sequence[str]) -> Candidate:
+        self.fit(plain.model, plain, refined=keys, thorough=False)
+        return self.fit(plain.model, plain, refined=keys)
 
     def _likely(self, key: str, current: Candidate, baseline: Candidate) -> list[str]:
         """Effects that may stand in the place of another: alike by nature, or alike alone."""
@@ -436,9 +443,7 @@ class Searcher:
             smaller = self.fit(current.model.without(key), baseline, refined=current.refined)
             if smaller.failure:
                 continue
-            extra = len(current.free) - len(smaller.free)
-            samples = effective_samples(current.fitted)
-            if evidence_for(current.fitted, smaller.fitted, extra, samples) < DECISIVE:
+            if evidence_for(current, smaller, current) < DECISIVE:
                 current = smaller
         return current
 
@@ -474,12 +479,18 @@ class Searcher:
         for key in added:
             if len(added) == 1 and steps and steps[0].chosen == key:
                 pairs = [(r.key, r.candidate) for r in steps[0].ranking if r.key != key]
-                samples = effective_samples(final.fitted)
-                ranked = [self._judge(k, c, final, samples) for k, c in pairs]
+                ranked = [self._judge(k, c, final, final) for k, c in pairs]
             else:
                 ranked = self._swaps(key, final, baseline)
             out[key] = tuple(sorted(ranked, key=lambda r: -r.evidence))
         return out
+
+
+def _least(candidates: Iterable[Candidate]) -> Candidate:
+    """The candidate that leaves least."""
+    return min(
+        (c for c in candidates if not c.failure), key=lambda candidate: candidate.fitted.weighted
+    )
 
 
 def held_out_gain(candidate: Candidate, current: Candidate) -> float:
@@ -521,16 +532,25 @@ def _refinable(candidate: Candidate, key: str) -> bool:
 def _refinements(model: Model, near: Candidate) -> list[dict[str, float]]:
     """Starts of the refined model: the plain optimum, and its refinements one way and the other."""
     starts = [dict(near.values)]
-    for sign in (0.4, -0.4):
+    new = {
+        name: p
+        for name, p in model.parameters.items()
+        if p.plain is not None and name not in near.free
+    }
+    own = {name.split(".")[0] for name in new}
+    for side in (1.0, -1.0):
         start = dict(near.values)
-        for name, p in model.parameters.items():
-            if p.plain is not None and name not in near.free:
-                room = (
-                    (p.upper - p.plain) if sign > 0 or p.lower >= p.plain else (p.plain - p.lower)
-                )
-                start[name] = p.plain + np.sign(sign) * min(abs(sign), 1.0) * min(room, 1.0)
-                start[name] = float(np.clip(start[name], p.lower, p.upper))
+        for name, p in new.items():
+            # Most of the way to one side and, where there is one, to the other.
+            room = p.upper - p.plain if side > 0 or p.lower >= p.plain else p.lower - p.plain
+            start[name] = p.plain + np.clip(0.8 * room, -0.5, 0.8)
         starts.append(start)
+        # The plain form may have gone astray for want of the refinement.
+        fresh = dict(start)
+        for name, p in model.parameters.items():
+            if name.split(".")[0] in own and p.plain is None and p.null is None:
+                fresh[name] = p.nominal
+        starts.append(fresh)
     return starts
 
 
