@@ -67,7 +67,7 @@ def starting_points(problem: Problem, around: np.ndarray, n: int, seed: int) -> 
     around = np.asarray(around, float)
     factors = 5.0 ** np.random.default_rng(seed).uniform(-1, 1, (n, around.size))
     factors[0] = 1.0
-    return _inside(problem, around * factors)
+    return inside(problem, around * factors)
 
 
 def fit(problem: Problem, starts: np.ndarray, *, polish: bool = True) -> Fit:
@@ -90,7 +90,7 @@ def fit(problem: Problem, starts: np.ndarray, *, polish: bool = True) -> Fit:
     InputError
         Where no start leads to a finite response.
     """
-    starts = _inside(problem, np.atleast_2d(starts))
+    starts = inside(problem, np.atleast_2d(starts))
     best, costs, failures = None, np.full(len(starts), np.inf), []
     reached = starts.copy()
     for i, start in enumerate(starts):
@@ -140,7 +140,7 @@ def explore(problem: Problem, starts: np.ndarray, *, evaluations: int) -> Fit:
     InputError
         Where no start leads to a finite response.
     """
-    starts = _inside(problem, np.atleast_2d(starts))
+    starts = inside(problem, np.atleast_2d(starts))
     costs, reached, failure = np.full(len(starts), np.inf), starts.copy(), ""
     for i, start in enumerate(starts):
         try:
@@ -181,7 +181,7 @@ def fit_simplex(
     -------
     Fit
     """
-    starts = _inside(problem, np.atleast_2d(starts))
+    starts = inside(problem, np.atleast_2d(starts))
 
     def cost(x: np.ndarray) -> float:
         return float(0.5 * np.sum(problem.residuals(x) ** 2))
@@ -206,7 +206,7 @@ def at_bounds(problem: Problem, values: np.ndarray) -> tuple[str, ...]:
     return tuple(name for name, is_on in zip(problem.names, on, strict=True) if is_on)
 
 
-def _inside(problem: Problem, points: np.ndarray) -> np.ndarray:
+def inside(problem: Problem, points: np.ndarray) -> np.ndarray:
     """Points moved strictly inside the bounds, as the trust region method requires."""
     lower = np.where(np.isfinite(problem.lower), problem.lower, -1e12)
     upper = np.where(np.isfinite(problem.upper), problem.upper, 1e12)

@@ -182,7 +182,8 @@ def _stack(
         return stacked
 
     # Offsets are numbered through all trials; their number is padded too, to compile less often.
-    firsts, used = [], 0
+    firsts: list[int] = []
+    used = 0
     for o in observations:
         firsts.append(firsts[-1] if o.continues else used)
         used = max(used, firsts[-1] + o.n_offsets)

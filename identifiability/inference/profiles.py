@@ -7,13 +7,14 @@ from typing import Literal
 
 import numpy as np
 
-from identifiability.inference.conditional import conditional_optima
+from identifiability.inference.conditional import conditional_optima, one_by_one
 from identifiability.inference.curvature import curvature
 from identifiability.inference.problem import Problem
 
 # Drops of the log likelihood at the ends of one parameter's 68.27 and 95 % intervals (chi²).
 DROPS = {"68": 0.5, "95": 1.9207}
-_REACH = 0.5 * 12.0**2
+_REACH, _SHORT_REACH = 0.5 * 12.0**2, 0.5 * 2.5**2
+_FIRST, _FIRST_SHORT = 4.0, 2.5  # quadratic widths that the first points reach
 _POINTS = 24
 
 Side = Literal["closed", "bound", "open"]
@@ -59,7 +60,7 @@ class Profile:
         return 0.5 * (high - low)
 
 
-def profile(problem: Problem, optimum: np.ndarray, name: str) -> Profile:
+def profile(problem: Problem, optimum: np.ndarray, name: str, *, points: int = _POINTS) -> Profile:
     """Profile of one free parameter around the optimum.
 
     Parameters
@@ -67,6 +68,8 @@ def profile(problem: Problem, optimum: np.ndarray, name: str) -> Profile:
     problem : Problem
     optimum : array, shape (k,)
     name : str
+    points : int
+        Number on each side. With fewer than 24 the ends of intervals are interpolated only.
 
     Returns
     -------
@@ -78,11 +81,29 @@ def profile(problem: Problem, optimum: np.ndarray, name: str) -> Profile:
     paths, drops = [optimum[None]], [np.zeros(1)]
     ends: dict[str, list[tuple[float, Side]]] = {level: [] for level in DROPS}
     for direction in (-1, 1):
-        side_paths, side_drops = _follow(problem, optimum, top, index, direction)
+        side_paths, side_drops = _follow(
+            problem,
+            optimum,
+            top,
+            index,
+            direction,
+            _REACH if points >= _POINTS else _SHORT_REACH,
+            points,
+        )
         bound = (problem.lower if direction < 0 else problem.upper)[index]
         for level, drop in DROPS.items():
             ends[level].append(
-                _end(problem, index, top, drop, optimum, side_paths, side_drops, bound)
+                _end(
+                    problem,
+                    index,
+                    top,
+                    drop,
+                    optimum,
+                    side_paths,
+                    side_drops,
+                    bound,
+                    rounds=2 if points >= _POINTS else 0,
+                )
             )
         paths.append(side_paths)
         drops.append(side_drops)
@@ -122,6 +143,7 @@ def _follow(
     index: int,
     direction: int,
     drop: float = _REACH,
+    points: int = _POINTS,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Profile on one side, outwards, until it has fallen by `drop` or meets the bound."""
     bound = (problem.lower if direction < 0 else problem.upper)[index]
@@ -143,10 +165,11 @@ def _follow(
     if span == 0:
         return optimum[None].copy(), np.zeros(1)
     paths, drops = np.empty((0, len(optimum))), np.empty(0)
-    start, near, far = optimum, 0.0, min(4 * sd, span)
+    first = _FIRST if points >= _POINTS else _FIRST_SHORT
+    start, near, far = optimum, 0.0, min(first * sd, span)
     for _ in range(12):
         # Denser near the optimum, where the intervals end.
-        fractions = np.linspace(0, 1, _POINTS + 1)[1:] ** (1.5 if near == 0 else 1.0)
+        fractions = np.linspace(0, 1, points + 1)[1:] ** (1.5 if near == 0 else 1.0)
         distances = near + (far - near) * fractions
         values = optimum[index] + direction * distances
         if far == span:
@@ -155,10 +178,12 @@ def _follow(
         still = np.broadcast_to(start, ridge.shape).copy()
         still[:, index] = values
         ridge[:, index] = values
-        solved = conditional_optima(problem, (index,), np.concatenate([ridge, still]))
-        likelihoods = solved.log_likelihood.reshape(2, -1)
+        tried = [ridge, still] if points >= _POINTS else [ridge]
+        solve = conditional_optima if points >= _POINTS else one_by_one
+        solved = solve(problem, (index,), np.concatenate(tried))
+        likelihoods = solved.log_likelihood.reshape(len(tried), -1)
         better = np.argmax(likelihoods, axis=0)
-        found = solved.points.reshape(2, len(values), -1)[better, np.arange(len(values))]
+        found = solved.points.reshape(len(tried), len(values), -1)[better, np.arange(len(values))]
         paths = np.concatenate([paths, found])
         drops = np.concatenate([drops, top - likelihoods.max(axis=0)])
         if drops[-1] > drop or far == span:
@@ -176,6 +201,7 @@ def _end(
     path: np.ndarray,
     drops: np.ndarray,
     bound: float,
+    rounds: int,
 ) -> tuple[float, Side]:
     """Where the profile has fallen by `drop`, by interpolation, then refined by solving again."""
     beyond = np.flatnonzero(drops > drop)
@@ -186,7 +212,7 @@ def _end(
     inner = path[first - 1] if first else optimum
     outer = path[first]
     low_drop, high_drop = (drops[first - 1] if first else 0.0), drops[first]
-    for _ in range(2):
+    for _ in range(rounds):
         fractions = np.linspace(0, 1, 10)[1:-1]
         between = inner + np.outer(fractions, outer - inner)
         solved = conditional_optima(problem, (index,), between)

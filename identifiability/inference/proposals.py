@@ -147,3 +147,21 @@ def fitted_mixture(
     factors = np.sqrt(1.2) * size[:, None] * np.linalg.cholesky(mixture.covariances_)
     means = centre + size * mixture.means_
     return StudentMixture(mixture.weights_, means, factors, 8.0, lower, upper)
+
+
+def efficiency_on_gaussian(k: int, df: float) -> float:
+    """Importance efficiency (Kish) of a t about a Gaussian of the same scale in k dimensions.
+
+    The inverse of the mean of p²/q under q, whose integral over directions is in closed form and
+    over the radius by quadrature.
+    """
+    radius = np.linspace(0, 12 + np.sqrt(k), 4001)[1:]
+    log_p = -0.5 * radius**2 - 0.5 * k * np.log(2 * np.pi)
+    log_q = (
+        gammaln(0.5 * (df + k))
+        - gammaln(0.5 * df)
+        - 0.5 * k * np.log(df * np.pi)
+        - 0.5 * (df + k) * np.log1p(radius**2 / df)
+    )
+    log_shell = np.log(2) + 0.5 * k * np.log(np.pi) - gammaln(0.5 * k) + (k - 1) * np.log(radius)
+    return float(1 / np.trapezoid(np.exp(2 * log_p - log_q + log_shell), radius))

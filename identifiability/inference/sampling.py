@@ -24,6 +24,7 @@ from identifiability.inference.problem import Problem
 from identifiability.inference.proposals import (
     StudentMixture,
     combined,
+    efficiency_on_gaussian,
     fitted_mixture,
     laplace_t,
 )
@@ -33,17 +34,18 @@ Step = Literal["laplace-t", "mixture-t", "differential evolution"]
 N_ENSEMBLES = 4
 RHAT_LIMIT = 1.01
 ESS_LIMIT = 400.0
-# On a Gaussian in three dimensions a t with five degrees of freedom reaches an importance
-# efficiency of 0.89. What is much lower has a shape, or a tail, that the t does not know, and
-# walkers that have not met it yet agree with each other all the same.
-EFFICIENCY_LIMIT = 0.75
+# What a t reaches on the posterior over what it would on a Gaussian: what is much lower has a
+# shape, or a tail, that the t does not know, and walkers that have not met it yet agree with each
+# other all the same. In three dimensions, where a Gaussian gives 0.89, this is 0.75.
+EFFICIENCY_LIMIT = 0.84
 
 # An optimum this far below the best, in log likelihood, holds no mass that matters.
 _NEGLIGIBLE = 15.0
-_TRIALS = 4096
+_TRIALS = 8  # points of a proposal to judge it by, for each walker
 _WALKERS, _STEPS, _BURN = 512, 25, 5
-_PILOT_WALKERS, _PILOT_STEPS = 128, 400
+_PILOT_WALKERS, _PILOT_STEPS, _FEW_STEPS = 128, 400, 100
 _DE_WALKERS, _DE_STEPS = 64, 2000
+_HOPELESS = 0.05  # efficiency from which a short pilot run does not lead to a mixture that fits
 _FEWEST_STEPS = 200
 
 
@@ -110,7 +112,9 @@ def sample(
     *,
     seed: int,
     local_optima: np.ndarray | None = None,
+    walkers: int = _WALKERS,
     effort: float = 1.0,
+    evolve: bool = True,
 ) -> Posterior:
     """Sample the posterior, climbing the ladder of proposals as far as needed.
 
@@ -124,8 +128,12 @@ def sample(
     local_optima : array, shape (n, k), optional
         Where other starts of the fit ended. Those that could hold mass get a component of their
         own in the proposal: no walker would find them from the best one.
+    walkers : int
+        Number of walkers in each ensemble.
     effort : float
         Factor on the number of steps.
+    evolve : bool
+        Whether to climb to the last step of the ladder, which takes the longest.
 
     Returns
     -------
@@ -136,12 +144,15 @@ def sample(
     optimum = np.asarray(optimum, float)
     proposal = _laplace(problem, optimum, local_optima)
     why: list[str] = []
-    start, efficiency = _try(problem, proposal, seeds[0])
+    start, efficiency = _try(problem, proposal, seeds[0], _TRIALS * walkers)
+    ideal = efficiency_on_gaussian(len(problem.names), proposal.df)
     # What is spent on other optima cannot serve the best one.
-    limit = EFFICIENCY_LIMIT * float(proposal.weights[0])
+    limit = EFFICIENCY_LIMIT * ideal * float(proposal.weights[0])
     if efficiency >= limit:
         reason = f"the Laplace t reaches an importance efficiency of {efficiency:.2f}"
-        result = _independent(problem, proposal, start, "laplace-t", reason, seed, seeds[1], effort)
+        result = _independent(
+            problem, proposal, start, "laplace-t", reason, seed, seeds[1], walkers, effort
+        )
         if result.converged:
             return result
         why.append(f"the Laplace t did not converge (largest R-hat {result.rhat.max():.3f})")
@@ -150,15 +161,23 @@ def sample(
             f"the Laplace t reaches an importance efficiency of only {efficiency:.2f}, "
             f"below {limit:.2f}"
         )
-    pilot = _pilot(problem, start, seeds[2])
+    if not evolve and efficiency < _HOPELESS:
+        # A short run that shows by its own diagnostics that it cannot be used.
+        reason = "; ".join([*why, "no pilot run was made at this effort"])
+        return _independent(
+            problem, proposal, start, "laplace-t", reason, seed, seeds[1], walkers, 0.1 * effort
+        )
+    pilot = _pilot(problem, start, seeds[2], _PILOT_STEPS if walkers >= _WALKERS else _FEW_STEPS)
     mixture = fitted_mixture(
         pilot, problem.lower, problem.upper, seed=int(seeds[2].generate_state(1)[0])
     )
-    start, efficiency = _try(problem, mixture, seeds[2].spawn(1)[0])
-    if efficiency >= EFFICIENCY_LIMIT / 2:
+    start, efficiency = _try(problem, mixture, seeds[2].spawn(1)[0], _TRIALS * walkers)
+    if efficiency >= EFFICIENCY_LIMIT * ideal / 2 or not evolve:
         reason = "; ".join([*why, f"a mixture fitted to a pilot run reaches {efficiency:.2f}"])
-        result = _independent(problem, mixture, start, "mixture-t", reason, seed, seeds[1], effort)
-        if result.converged:
+        result = _independent(
+            problem, mixture, start, "mixture-t", reason, seed, seeds[1], walkers, effort
+        )
+        if result.converged or not evolve:
             return result
         why.append(f"the mixture did not converge (largest R-hat {result.rhat.max():.3f})")
     else:
@@ -229,20 +248,18 @@ def _state(points: np.ndarray, seed: np.random.SeedSequence) -> emcee.State:
 
 
 def _try(
-    problem: Problem, proposal: StudentMixture, seed: np.random.SeedSequence
+    problem: Problem, proposal: StudentMixture, seed: np.random.SeedSequence, n: int
 ) -> tuple[np.ndarray, float]:
     """Importance-resampled points from the proposal, and its efficiency (Kish, 0 to 1)."""
     random = np.random.RandomState(np.random.MT19937(seed))
     try:
-        points = proposal.draw(_TRIALS, random)
+        points = proposal.draw(n, random)
     except RuntimeError:
-        return proposal.means[:1].repeat(_TRIALS, axis=0), 0.0
+        return proposal.means[:1].repeat(n, axis=0), 0.0
     log_weights = problem.log_posterior(points) - proposal.log_density(points)
     weights = np.exp(log_weights - log_weights.max())
     weights /= weights.sum()
-    return points[random.choice(_TRIALS, _TRIALS, p=weights)], float(
-        1 / np.sum(weights**2) / _TRIALS
-    )
+    return points[random.choice(n, n, p=weights)], float(1 / np.sum(weights**2) / n)
 
 
 def _independent(
@@ -253,6 +270,7 @@ def _independent(
     reason: str,
     seed: int,
     seeds: np.random.SeedSequence,
+    walkers: int,
     effort: float,
 ) -> Posterior:
     """Independence Metropolis-Hastings: every walker is a chain of its own."""
@@ -265,13 +283,13 @@ def _independent(
     chains, scores, accepted = [], [], []
     for member, child in enumerate(seeds.spawn(N_ENSEMBLES)):
         sampler = emcee.EnsembleSampler(
-            _WALKERS,
+            walkers,
             len(problem.names),
             problem.log_posterior,
             moves=emcee.moves.MHMove(propose),
             vectorize=True,
         )
-        first = start[member * _WALKERS : (member + 1) * _WALKERS]
+        first = start[member * walkers : (member + 1) * walkers]
         state = sampler.run_mcmc(_state(first, child), _BURN, skip_initial_state_check=True)
         sampler.reset()
         sampler.run_mcmc(state, n_steps, skip_initial_state_check=True)
@@ -282,12 +300,14 @@ def _independent(
     return _judge(problem, chains, scores, step, reason, float(np.mean(accepted)), seed)
 
 
-def _pilot(problem: Problem, start: np.ndarray, seed: np.random.SeedSequence) -> np.ndarray:
+def _pilot(
+    problem: Problem, start: np.ndarray, seed: np.random.SeedSequence, n_steps: int
+) -> np.ndarray:
     """Draws from a short run of differential evolution."""
     sampler = _evolving_sampler(problem, _PILOT_WALKERS)
     first = _scatter(problem, start[:_PILOT_WALKERS], seed)
-    sampler.run_mcmc(_state(first, seed), _PILOT_STEPS, skip_initial_state_check=True)
-    return sampler.get_chain(discard=_PILOT_STEPS // 2, thin=5, flat=True)
+    sampler.run_mcmc(_state(first, seed), n_steps, skip_initial_state_check=True)
+    return sampler.get_chain(discard=n_steps // 2, thin=5, flat=True)
 
 
 def _evolution(

@@ -7,6 +7,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from identifiability.files import plain
 from identifiability.inference.curvature import Curvature, curvature
 from identifiability.inference.fitting import Fit, fit
 from identifiability.inference.problem import Problem
@@ -34,6 +35,7 @@ WIDTH_TOLERANCE = 0.10
 END_TOLERANCE = 0.25
 HEAVY_TAIL = 2.15
 _P68, _P95 = 0.6827, 0.95
+_FEW_POINTS, _FEW_WALKERS = 6, 64
 
 
 @dataclass(frozen=True)
@@ -143,7 +145,7 @@ class Widths:
         return {
             "verdict": self.verdict,
             "reason": self.reason,
-            "parameters": {row.name: _plain(asdict(row)) for row in self.rows},
+            "parameters": {row.name: plain(asdict(row)) for row in self.rows},
             "optimum": {
                 "cost": self.fit.cost,
                 "at_bound": list(self.fit.at_bound),
@@ -162,7 +164,7 @@ class Widths:
             "quadrature": None
             if self.moments is None
             else {
-                "log_evidence": _plain(self.moments.log_evidence),
+                "log_evidence": plain(self.moments.log_evidence),
                 "error": self.moments.error,
                 "evaluations": self.moments.n_evaluations,
             },
@@ -175,7 +177,7 @@ def widths(
     starts: np.ndarray,
     seed: int,
     referee: bool = True,
-    effort: float = 1.0,
+    quick: bool = False,
 ) -> Widths:
     """Fit, differentiate, profile, sample, integrate and judge.
 
@@ -188,8 +190,9 @@ def widths(
         Of the sampler.
     referee : bool
         Whether to integrate by quadrature too, for at most three parameters.
-    effort : float
-        Factor on the sampler's number of steps.
+    quick : bool
+        Whether to do with a coarser profile, fewer draws, and no differential evolution: for
+        models whose response takes long. What then does not converge is said not to.
 
     Returns
     -------
@@ -197,8 +200,12 @@ def widths(
     """
     best = fit(problem, starts)
     shape = curvature(problem, best.values)
-    profiles = tuple(profile(problem, best.values, name) for name in problem.names)
-    posterior = sample(problem, best.values, seed=seed, local_optima=best.reached, effort=effort)
+    profiles = tuple(
+        profile(problem, best.values, name, **({"points": _FEW_POINTS} if quick else {}))
+        for name in problem.names
+    )
+    thrift = {"walkers": _FEW_WALKERS, "evolve": False} if quick else {}
+    posterior = sample(problem, best.values, seed=seed, local_optima=best.reached, **thrift)
     moments = None
     if referee and len(problem.names) <= 3:
         moments = quadrature(problem, best.values)
@@ -349,14 +356,3 @@ def _disagreement(posterior: Posterior, moments: Moments | None, i: int) -> str:
         f"sampling gives {posterior.names[i]} a standard deviation of {sampled:.3g}, quadrature "
         f"{integrated:.3g}: one of them misses part of the posterior"
     )
-
-
-def _plain(value: Any) -> Any:
-    """Numbers that JSON has no word for as ``None``, tuples as lists."""
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, float):
-        return value if np.isfinite(value) else None
-    return value

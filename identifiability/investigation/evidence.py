@@ -290,8 +290,8 @@ def _pieces(ready: Ready, noise: Noise) -> list[Observation]:
         return [observe(ready.drive, ready.response, noise, select=chosen, segment=segment)]
     warm_up = round(_WARM_UP / ready.drive.interval)
     length = max(min(span, _LONGEST // 2), 1)
-    starts = np.arange(ready.first, ready.last, length)
-    out = []
+    starts = range(ready.first, ready.last, length)
+    out: list[Observation] = []
     for start in starts:
         stop = min(start + length, ready.last)
         if stop - start < 2:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -28,13 +29,14 @@ from identifiability.investigation.search import (
     Step,
     baseline,
 )
-from identifiability.investigation.unexplained import Unexplained, Variation, unexplained, variation
+from identifiability.investigation.unexplained import Unexplained, unexplained
 from identifiability.investigation.verdict import Verdict, judge
 from identifiability.joint.effects import EFFECTS, Effect
 from identifiability.joint.model import KBI, Model
 from identifiability.measurement.trials import Trial
 
 Progress = Callable[[str, int, int], None]
+T = TypeVar("T")
 
 
 def _silent(what: str, done: int, total: int) -> None:
@@ -53,7 +55,6 @@ class Findings:
         Of the baseline model.
     unexplained_before, unexplained_after : Unexplained
         Library-free account of what the baseline and the final model leave.
-    variation : Variation or None
     widths : Widths or None
         Of the final model's parameters; ``None`` where they were not asked for, or failed.
     verdict : Verdict
@@ -69,7 +70,6 @@ class Findings:
     location: Location | None
     unexplained_before: Unexplained | None
     unexplained_after: Unexplained
-    variation: Variation | None
     widths: Widths | None
     verdict: Verdict
     next_experiment: NextExperiment | None
@@ -186,7 +186,7 @@ class Investigation:
             room=problem.room,
         )
         start = candidate.model.vector(candidate.values)[list(problem.free)]
-        return widths(sharper, starts=start[None], seed=seed, referee=False)
+        return widths(sharper, starts=start[None], seed=seed, referee=False, quick=True)
 
     def smallest_seen(self, candidate: Candidate) -> tuple[Detectable, ...]:
         """Smallest effects that would have been seen beside a fitted model."""
@@ -255,7 +255,7 @@ def investigate(
     )
     warnings: list[str] = []
 
-    def attempt(what: str, work: Callable[[], object]) -> object | None:
+    def attempt(what: str, work: Callable[[], T]) -> T | None:
         # One part that fails must not take the others with it; the report says that it failed.
         try:
             return work()
@@ -271,15 +271,13 @@ def investigate(
     before = attempt("unexplained torque", lambda: study.unexplained(first, seed=seed))
     search = study.search(first, most=most)
     progress("what is left", 0, 1)
-    after = before
-    if search.final is not first or before is None:
-        after = study.unexplained(search.final, seed=seed)
-    spread = attempt("variation", lambda: variation(study.bench, search.final))
+    same = search.final is first and before is not None
+    after = before if same else study.unexplained(search.final, seed=seed)
     seen: tuple[Detectable, ...] = ()
     if not search.final.keys or search.final is first:
         progress("the smallest effects that would have been seen", 0, 1)
         seen = attempt("power", lambda: study.smallest_seen(search.final)) or ()
-    verdict = judge(study.evidence, search, after, spread, seen, study.library)
+    verdict = judge(study.evidence, search, after, seen, study.library)
     progress("the next experiment", 0, 1)
     following = attempt(
         "next experiment",
@@ -296,7 +294,6 @@ def investigate(
         location,
         before,
         after,
-        spread,
         found,
         verdict,
         following,

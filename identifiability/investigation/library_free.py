@@ -1,11 +1,11 @@
 """Kinds of missing physics, each as a Gaussian process that no named effect stands behind.
 
-With an imposed torque the joint moves as ``y = S (tau - m)``: S is the response to torque, and m the
-torque that the model lacks, a function of the motion that took place. Against the prediction the
-residual is therefore ``-S m``, exactly and not only for small m, if m is computed from the motion as
-it was: what the model predicts plus the smooth part of the residual. (The recorded angle itself is
-too noisy to be differentiated.) For the same reason a change of K, B or I acts on that motion. With
-an imposed angle the motion is known and the residual is m itself.
+With an imposed torque the joint moves as ``y = S (tau - m)``: S is the response to torque, and m
+the torque that the model lacks, a function of the motion that took place. Against the prediction
+the residual is therefore ``-S m``, exactly and not only for small m, if m is computed from the
+motion as it was: what the model predicts plus the smooth part of the residual. (The recorded angle
+itself is too noisy to be differentiated.) For the same reason a change of K, B or I acts on that
+motion. With an imposed angle the motion is known and the residual is m itself.
 
 Each term is piecewise linear in time, lag or state between nodes, with a Gaussian process over the
 nodes, so that everything is linear in the values at the nodes.
@@ -145,8 +145,7 @@ class Term:
 def traces_of(bench: Workbench, candidate: Candidate) -> tuple[list[Trace], Response]:
     """Fitted trials as a candidate leaves them; the motion is still the predicted one."""
     evidence, model = bench.evidence, candidate.model
-    refined = len(candidate.free) == len(model.parameter_names)
-    problem = bench.problem(model, evidence.fitted, refined=refined)
+    problem = bench.problem(model, evidence.fitted, refined=candidate.refined)
     nuisances = _jacobians(bench, problem, candidate)
     traces = []
     for ready, residual, nuisance in zip(
@@ -507,7 +506,7 @@ class Terms:
         )
 
     def hysteresis(self) -> Term:
-        """A torque that depends on how far the joint has moved since it turned back, not how fast."""
+        """A torque of how far the joint has moved since it turned back, not of how fast."""
         largest = max(np.abs(t.angle).max() for t in self.traces)
         thresholds = largest * np.geomspace(0.003, 0.7, _THRESHOLDS)
         torques = tuple(stops(t.angle, thresholds) for t in self.traces)

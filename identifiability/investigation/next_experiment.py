@@ -198,10 +198,10 @@ def _waveforms(time: np.ndarray, seed: int) -> list[tuple[str, np.ndarray]]:
     if moved[-1] > 0.4:
         interval = time[1] - time[0]
         tones = np.arange(1.0, 21.0)
-        wave = multisine(moved, amplitude=1.0, frequencies=tones, seed=seed).torque
+        wave = multisine(moved, amplitude=1.0, frequencies=tones, seed=seed).values
         out.append(("a multisine from 1 to 20 Hz", placed(wave / np.abs(wave).max())))
         dwell = max(1, round(0.03 / interval)) * interval
-        binary = prbs(moved, amplitude=1.0, dwell=dwell, seed=seed).torque
+        binary = prbs(moved, amplitude=1.0, dwell=dwell, seed=seed).values
         out.append(("a pseudo-random binary sequence switching every 30 ms", placed(binary)))
     return out
 

@@ -8,11 +8,13 @@ from typing import Any
 
 import numpy as np
 
+from identifiability.files import plain
 from identifiability.inference.archive import package_version
 from identifiability.investigation.candidates import Candidate
 from identifiability.investigation.evidence import Ready
 from identifiability.investigation.investigate import Findings
 from identifiability.investigation.search import Ranked
+from identifiability.investigation.unexplained import Unexplained
 
 SCHEMA = 1
 
@@ -34,7 +36,7 @@ def record(findings: Findings, *, command: str = "") -> dict[str, Any]:
     """
     search, verdict, evidence = findings.search, findings.verdict, findings.evidence
     sets = dict(zip(search.alternatives, verdict.equivalence_sets, strict=False))
-    return {
+    found = {
         "schema": SCHEMA,
         "baseline": {
             "effects": list(search.baseline.keys),
@@ -106,6 +108,8 @@ def record(findings: Findings, *, command: str = "") -> dict[str, Any]:
         "data_sha256": data_hash((*evidence.fitted, *evidence.held_out)),
         "command": command,
     }
+    written: dict[str, Any] = plain(found)
+    return written
 
 
 def data_hash(trials: Sequence[Ready]) -> str:
@@ -148,16 +152,21 @@ def _ranked(ranked: Ranked) -> dict[str, Any]:
     }
 
 
-def _unexplained(rest: Any) -> dict[str, Any] | None:
+def _unexplained(rest: Unexplained | None) -> dict[str, Any] | None:
     if rest is None:
         return None
     return {
         "sentence": rest.sentence,
-        "best": rest.best,
+        "best": rest.best.key,
+        "kind": rest.best.kind,
         "margin": rest.margin,
         "decided": rest.decided,
         "share": rest.share,
-        "families": [{"key": f.key, "log_evidence": f.log_evidence} for f in rest.families],
+        "noise_ratio": rest.noise_ratio,
+        "latency_s": None if rest.delay_readout is None else rest.delay_readout.delay,
+        "families": [
+            {"key": f.key, "kind": f.kind, "log_evidence": f.log_evidence} for f in rest.families
+        ],
     }
 
 

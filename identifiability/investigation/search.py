@@ -366,7 +366,7 @@ class Searcher:
             for r in ranking
             if r.evidence >= max(0.0, _WITHIN_REACH * top) and _refinable(r.candidate, r.key)
         ][:_MOST_REFINED]
-        refined = {}
+        refined: dict[str, Candidate] = {}
         for r in worth:
             self.progress(f"refining {r.key}", len(refined) + 1, len(worth))
             more = (*r.candidate.refined, r.key)
@@ -533,17 +533,17 @@ def _refinements(model: Model, near: Candidate) -> list[dict[str, float]]:
     """Starts of the refined model: the plain optimum, and its refinements one way and the other."""
     starts = [dict(near.values)]
     new = {
-        name: p
+        name: (p, p.plain)
         for name, p in model.parameters.items()
         if p.plain is not None and name not in near.free
     }
     own = {name.split(".")[0] for name in new}
     for side in (1.0, -1.0):
         start = dict(near.values)
-        for name, p in new.items():
+        for name, (p, plain) in new.items():
             # Most of the way to one side and, where there is one, to the other.
-            room = p.upper - p.plain if side > 0 or p.lower >= p.plain else p.lower - p.plain
-            start[name] = p.plain + np.clip(0.8 * room, -0.5, 0.8)
+            room = p.upper - plain if side > 0 or p.lower >= plain else p.lower - plain
+            start[name] = plain + float(np.clip(0.8 * room, -0.5, 0.8))
         starts.append(start)
         # The plain form may have gone astray for want of the refinement.
         fresh = dict(start)

@@ -1,11 +1,11 @@
 """What kind of thing a model lacks, and the torque it lacks, without naming an effect.
 
 A candidate's residual is explained by Gaussian processes of several kinds: nothing but noise; a
-drift of the sensor; a filter in the sensor; a torque of the present state, of the turning points of
-the motion, of the past motion; stiffness that is not the same in every trial; a torque of its own
-in every trial. Each has its marginal likelihood in closed form, in which every free parameter of the
-candidate may move by 100 % and the noise, first-order autoregressive with a standard deviation for
-each trial, is estimated anew.
+drift of the sensor; a filter in the sensor; a torque of the present state, of the turning points
+of the motion, of the past motion; stiffness that is not the same in every trial; a torque of its
+own in every trial. Each has its marginal likelihood in closed form, in which every free parameter
+of the candidate may move by 100 % and the noise, first-order autoregressive with a standard
+deviation for each trial, is estimated anew.
 
 No such kind is exact. Where a torque of its own in every trial explains more than a kind does, the
 kind is therefore tried together with it, and with a second kind; the largest part gives the name.
@@ -81,6 +81,7 @@ _REMAINDER = "unrepeatable"
 _MOST_PAIRS = 3
 _ROUNDS = 3
 _HIGHEST_RHO = 0.99
+_CLEAR, _FELT = 0.1, 0.01  # share of the margin, and s, from which a latency is spoken of
 _DRAWS = 200
 _COARSE_DELAYS = np.arange(0.0, 0.1201, 0.006)
 _COARSE_DECAYS = np.array([0.0, 0.008, 0.016, 0.032, 0.064, 0.128])
@@ -692,10 +693,10 @@ def _missing_torque(
     spread = spread - (spread @ basis) @ basis.T
     sds = np.std(spread, axis=0)
     out = []
-    for t, mean, sd in zip(
+    for trace, mean, sd in zip(
         explains.traces, np.split(whole, ends), np.split(sds, ends), strict=True
     ):
-        ready = t.ready
+        ready = trace.ready
         out.append(MissingTorque(ready.name, ready.trial.time[ready.first : ready.last], mean, sd))
     return tuple(out), slopes
 
@@ -848,7 +849,7 @@ def _sentence(result: Unexplained) -> str:
         when = "from trial to trial" if main == "variation" else "during the trials"
         lead = f"behaves like stiffness and damping that change {when}"
     if best.kind == "memory" and readout is not None:
-        if readout.nats >= DECISIVE:
+        if readout.nats >= DECISIVE + _CLEAR * result.margin and readout.delay >= _FELT:
             lead += f", with a latency of about {1000 * readout.delay:.0f} ms"
         else:
             lead += f", and fades with a time constant of about {1000 * readout.decay:.0f} ms"

@@ -12,7 +12,7 @@ from identifiability.investigation.equivalence import equivalence_set, same_form
 from identifiability.investigation.evidence import Evidence
 from identifiability.investigation.power import Detectable
 from identifiability.investigation.search import DECISIVE, Search
-from identifiability.investigation.unexplained import Unexplained, Variation
+from identifiability.investigation.unexplained import Unexplained
 from identifiability.joint.effects.base import Effect
 
 EXPLAINED_SHARE = 0.8
@@ -20,7 +20,7 @@ EXPLAINED_SHARE = 0.8
 explanation: a convention. Equations are never exact, so the floor itself is not asked for."""
 NAMED_SHARE = 0.5
 """The same where the noise is unknown, and with it the misfit beyond the noise."""
-_NATS = 5.0
+_ENOUGH_NOISE = 1.5  # times the quiet samples' noise, beyond which an explanation is not complete
 
 KINDS = (
     "explained",
@@ -67,7 +67,6 @@ def judge(
     evidence: Evidence,
     search: Search,
     rest: Unexplained,
-    variation: Variation | None,
     smallest_seen: Sequence[Detectable],
     library: Mapping[str, type[Effect]],
 ) -> Verdict:
@@ -79,8 +78,6 @@ def judge(
     search : Search
     rest : Unexplained
         Library-free account of what the final model leaves.
-    variation : Variation or None
-        Trial-to-trial variation of K and B under the final model.
     smallest_seen : sequence of Detectable
         Smallest effects that would have been seen beside the final model.
     library : mapping of str to type of Effect
@@ -94,9 +91,8 @@ def judge(
     share = _share(evidence, baseline, final)
     because = [_errors(evidence, baseline, final)]
     quiet = _quiet(evidence, final, rest)
-    varies = variation is not None and variation.log_evidence_gain > _NATS
     if not names:
-        return _nothing_named(rest, quiet, varies, variation, because, smallest_seen)
+        return _nothing_named(rest, quiet, because, smallest_seen)
     because += _reasons(search, sets, library)
     enough = EXPLAINED_SHARE if evidence.has_noise else NAMED_SHARE
     measured = all(library[k].place == "sensor" for s in sets for k in s)
@@ -123,8 +119,6 @@ def judge(
 def _nothing_named(
     rest: Unexplained,
     quiet: bool,
-    varies: bool,
-    variation: Variation | None,
     because: list[str],
     smallest_seen: Sequence[Detectable],
 ) -> Verdict:
@@ -138,24 +132,8 @@ def _nothing_named(
         )
         return Verdict("nothing_missing", (), (), sentence, tuple(because), None, tuple(seen))
     because.append(rest.sentence)
-    if varies and variation is not None:
-        because.append(variation.sentence)
-        sentence = (
-            "What remains does not repeat from trial to trial: the joint itself varies "
-            f"({variation.sentence.rstrip('.')}), and no effect known here accounts for it."
-        )
-        return Verdict("unrepeatable", (), (), sentence, tuple(because))
-    kind = {
-        "static": "unknown_static",
-        "memory": "unknown_memory",
-        "rectified_memory": "unknown_memory",
-        "sensor": "measurement",
-        "drift": "measurement",
-        "unrepeatable": "unrepeatable",
-        "none": "unrepeatable",
-    }[rest.best]
     sentence = f"Something is missing, and it is none of the effects known here. {rest.sentence}"
-    return Verdict(kind, (), (), sentence, tuple(because))
+    return Verdict(_unknown_kind(rest), (), (), sentence, tuple(because))
 
 
 def _partly(
@@ -166,12 +144,6 @@ def _partly(
     because: list[str],
     library: Mapping[str, type[Effect]],
 ) -> Verdict:
-    kind = {
-        "static": "unknown_static",
-        "sensor": "measurement",
-        "drift": "measurement",
-        "unrepeatable": "unrepeatable",
-    }.get(rest.best, "unknown_memory")
     because.append(rest.sentence)
     sentence = (
         f"None of the effects known here explains the misfit: the best, "
@@ -181,7 +153,24 @@ def _partly(
     because.append(
         "Named effects that remove only a part may stand for something else: treat them as a clue."
     )
-    return Verdict(kind, names, sets, sentence, tuple(because), share)
+    return Verdict(_unknown_kind(rest), names, sets, sentence, tuple(because), share)
+
+
+def _unknown_kind(rest: Unexplained) -> str:
+    """Kind of verdict where no effect that is known explains the misfit."""
+    kind = rest.best.kind
+    if kind in ("sensor", "drift") and (rest.noise_ratio or 1.0) > _ENOUGH_NOISE:
+        # A filter of the recording leaves only noise; one that leaves more stands for something.
+        kind = next((f.kind for f in rest.families if f.kind not in ("sensor", "drift")), kind)
+    return {
+        "static": "unknown_static",
+        "hysteresis": "unknown_memory",
+        "memory": "unknown_memory",
+        "sensor": "measurement",
+        "drift": "measurement",
+        "unrepeatable": "unrepeatable",
+        "none": "unrepeatable",
+    }[kind]
 
 
 def _share(evidence: Evidence, baseline: Candidate, final: Candidate) -> float | None:
@@ -203,7 +192,7 @@ def _quiet(evidence: Evidence, final: Candidate, rest: Unexplained) -> bool:
         )
         if final.fitted.error <= floor * slack and rest.share < 0.1:
             return True
-    return rest.best == "none"
+    return rest.best.kind == "none"
 
 
 def _errors(evidence: Evidence, baseline: Candidate, final: Candidate) -> str:

@@ -170,8 +170,6 @@ def write_report(findings: Findings, record: dict[str, Any], out: Path) -> list[
             lambda: unexplained_figure(findings.unexplained_after),
             "What the final model still lacks.",
         )
-    if findings.variation is not None:
-        page.paragraph(findings.variation.sentence)
 
     page.heading("Parameters and their widths")
     if findings.widths is None:
