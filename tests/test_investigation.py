@@ -112,10 +112,11 @@ def test_pieces_of_a_long_record_leave_what_the_whole_leaves(monkeypatch):
     rng = np.random.default_rng(3)
     u = np.repeat(rng.choice([-2.0, 2.0], 60), 50)
     model = KBI()
-    theta = model.vector(JOINT)
+    joint = JOINT | {"B": 2.5}  # what was before fades by exp(-12.5) in a second
+    theta = model.vector(joint)
     angle = simulate(model, theta, SampledTorque(u).drive(t)) + 1e-4 * rng.standard_normal(t.size)
     record = Trial(t, u, angle, name="long")
-    values = JOINT | {"K": 33.0}
+    values = joint | {"K": 33.0}
     whole = Workbench(gather([record])).residual(model, values, gather([record]).fitted)
     monkeypatch.setattr("identifiability.investigation.evidence._LONGEST", 800)
     evidence = gather([record])

@@ -15,7 +15,7 @@ from identifiability.inference.problem import Problem
 DROPS = {"68": 0.5, "95": 1.9207}
 _REACH, _SHORT_REACH = 0.5 * 12.0**2, 0.5 * 2.5**2
 _FIRST, _FIRST_SHORT = 4.0, 2.5  # quadratic widths that the first points reach
-_POINTS = 24
+POINTS = 24
 
 Side = Literal["closed", "bound", "open"]
 
@@ -60,7 +60,7 @@ class Profile:
         return 0.5 * (high - low)
 
 
-def profile(problem: Problem, optimum: np.ndarray, name: str, *, points: int = _POINTS) -> Profile:
+def profile(problem: Problem, optimum: np.ndarray, name: str, *, points: int = POINTS) -> Profile:
     """Profile of one free parameter around the optimum.
 
     Parameters
@@ -87,7 +87,7 @@ def profile(problem: Problem, optimum: np.ndarray, name: str, *, points: int = _
             top,
             index,
             direction,
-            _REACH if points >= _POINTS else _SHORT_REACH,
+            _REACH if points >= POINTS else _SHORT_REACH,
             points,
         )
         bound = (problem.lower if direction < 0 else problem.upper)[index]
@@ -102,7 +102,7 @@ def profile(problem: Problem, optimum: np.ndarray, name: str, *, points: int = _
                     side_paths,
                     side_drops,
                     bound,
-                    rounds=2 if points >= _POINTS else 0,
+                    rounds=2 if points >= POINTS else 0,
                 )
             )
         paths.append(side_paths)
@@ -143,7 +143,7 @@ def _follow(
     index: int,
     direction: int,
     drop: float = _REACH,
-    points: int = _POINTS,
+    points: int = POINTS,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Profile on one side, outwards, until it has fallen by `drop` or meets the bound."""
     bound = (problem.lower if direction < 0 else problem.upper)[index]
@@ -165,9 +165,9 @@ def _follow(
     if span == 0:
         return optimum[None].copy(), np.zeros(1)
     paths, drops = np.empty((0, len(optimum))), np.empty(0)
-    first = _FIRST if points >= _POINTS else _FIRST_SHORT
+    first = _FIRST if points >= POINTS else _FIRST_SHORT
     start, near, far = optimum, 0.0, min(first * sd, span)
-    for _ in range(12):
+    for _ in range(12 if points >= POINTS else 3):
         # Denser near the optimum, where the intervals end.
         fractions = np.linspace(0, 1, points + 1)[1:] ** (1.5 if near == 0 else 1.0)
         distances = near + (far - near) * fractions
@@ -178,8 +178,8 @@ def _follow(
         still = np.broadcast_to(start, ridge.shape).copy()
         still[:, index] = values
         ridge[:, index] = values
-        tried = [ridge, still] if points >= _POINTS else [ridge]
-        solve = conditional_optima if points >= _POINTS else one_by_one
+        tried = [ridge, still] if points >= POINTS else [ridge]
+        solve = conditional_optima if points >= POINTS else one_by_one
         solved = solve(problem, (index,), np.concatenate(tried))
         likelihoods = solved.log_likelihood.reshape(len(tried), -1)
         better = np.argmax(likelihoods, axis=0)

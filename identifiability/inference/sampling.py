@@ -42,7 +42,7 @@ EFFICIENCY_LIMIT = 0.84
 # An optimum this far below the best, in log likelihood, holds no mass that matters.
 _NEGLIGIBLE = 15.0
 _TRIALS = 8  # points of a proposal to judge it by, for each walker
-_WALKERS, _STEPS, _BURN = 512, 25, 5
+WALKERS, _STEPS, _BURN = 512, 25, 5
 _PILOT_WALKERS, _PILOT_STEPS, _FEW_STEPS = 128, 400, 100
 _DE_WALKERS, _DE_STEPS = 64, 2000
 _HOPELESS = 0.05  # efficiency from which a short pilot run does not lead to a mixture that fits
@@ -112,7 +112,7 @@ def sample(
     *,
     seed: int,
     local_optima: np.ndarray | None = None,
-    walkers: int = _WALKERS,
+    walkers: int = WALKERS,
     effort: float = 1.0,
     evolve: bool = True,
 ) -> Posterior:
@@ -167,7 +167,7 @@ def sample(
         return _independent(
             problem, proposal, start, "laplace-t", reason, seed, seeds[1], walkers, 0.1 * effort
         )
-    pilot = _pilot(problem, start, seeds[2], _PILOT_STEPS if walkers >= _WALKERS else _FEW_STEPS)
+    pilot = _pilot(problem, start, seeds[2], _PILOT_STEPS if walkers >= WALKERS else _FEW_STEPS)
     mixture = fitted_mixture(
         pilot, problem.lower, problem.upper, seed=int(seeds[2].generate_state(1)[0])
     )

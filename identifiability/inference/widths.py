@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -11,9 +12,9 @@ from identifiability.files import plain
 from identifiability.inference.curvature import Curvature, curvature
 from identifiability.inference.fitting import Fit, fit
 from identifiability.inference.problem import Problem
-from identifiability.inference.profiles import Profile, Side, profile
+from identifiability.inference.profiles import POINTS, Profile, Side, profile
 from identifiability.inference.quadrature import Moments, quadrature
-from identifiability.inference.sampling import Posterior, sample
+from identifiability.inference.sampling import WALKERS, Posterior, sample
 
 Verdict = Literal[
     "agrees", "truncated", "curved", "heavy-tailed", "non-identifiable", "not converged"
@@ -35,7 +36,7 @@ WIDTH_TOLERANCE = 0.10
 END_TOLERANCE = 0.25
 HEAVY_TAIL = 2.15
 _P68, _P95 = 0.6827, 0.95
-_FEW_POINTS, _FEW_WALKERS = 6, 64
+_FEW_POINTS, _FEW_WALKERS, _THREADS = 5, 64, 2
 
 
 @dataclass(frozen=True)
@@ -200,12 +201,22 @@ def widths(
     """
     best = fit(problem, starts)
     shape = curvature(problem, best.values)
-    profiles = tuple(
-        profile(problem, best.values, name, **({"points": _FEW_POINTS} if quick else {}))
-        for name in problem.names
+    points, walkers = (_FEW_POINTS, _FEW_WALKERS) if quick else (POINTS, WALKERS)
+
+    def follow(name: str) -> Profile:
+        # A problem remembers its last point, so each thread has one of its own.
+        return profile(replace(problem), best.values, name, points=points)
+
+    with ThreadPoolExecutor(_THREADS if quick else 1) as pool:
+        profiles = tuple(pool.map(follow, problem.names))
+    posterior = sample(
+        problem,
+        best.values,
+        seed=seed,
+        local_optima=best.reached,
+        walkers=walkers,
+        evolve=not quick,
     )
-    thrift = {"walkers": _FEW_WALKERS, "evolve": False} if quick else {}
-    posterior = sample(problem, best.values, seed=seed, local_optima=best.reached, **thrift)
     moments = None
     if referee and len(problem.names) <= 3:
         moments = quadrature(problem, best.values)

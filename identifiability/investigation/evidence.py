@@ -255,6 +255,7 @@ def _ready(trials: Sequence[Trial], lowpass_hz: float | None) -> list[Ready]:
             elif channel == "angle":
                 scatter = float(np.sqrt(np.mean(values[:n] ** 2)))
             sd = scatter
+        sd = max(sd, _resolution(trial.angle) / np.sqrt(12))
         if shifted:
             note = f"level of the {n} quiet samples removed from {' and '.join(shifted)}"
             trial = replace(trial, notes=(*trial.notes, note), **shifted)
@@ -278,6 +279,12 @@ def _angle_driven(trial: Trial, lowpass_hz: float | None) -> Ready:
             ready = ready.decimate(stride)
     drive = imposed_motion(ready.time, ready.angle)
     return Ready(ready, 0, ready.n_samples, drive, ready.torque, Lead(0, 0.0, 1.0), True)
+
+
+def _resolution(values: np.ndarray) -> float:
+    """Smallest step between recorded values: at rest a coarse recorder shows no noise at all."""
+    steps = np.diff(np.unique(values))
+    return float(steps.min()) if steps.size else 0.0
 
 
 def _pieces(ready: Ready, noise: Noise) -> list[Observation]:

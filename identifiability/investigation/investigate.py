@@ -271,8 +271,9 @@ def investigate(
     before = attempt("unexplained torque", lambda: study.unexplained(first, seed=seed))
     search = study.search(first, most=most)
     progress("what is left", 0, 1)
-    same = search.final is first and before is not None
-    after = before if same else study.unexplained(search.final, seed=seed)
+    after = before if search.final is first else None
+    if after is None:
+        after = study.unexplained(search.final, seed=seed)
     seen: tuple[Detectable, ...] = ()
     if not search.final.keys or search.final is first:
         progress("the smallest effects that would have been seen", 0, 1)

@@ -33,6 +33,8 @@ _FILTERED_SPACING = 0.01  # s; samples behind a low-pass of 50 Hz are independen
 _MOST_NODES = 500  # of a torque in time, over all trials
 _TORQUE_NODES, _DRIFT_NODES, _STIFFNESS_NODES = 0.01, 0.03, 0.05  # s between nodes
 _FASTEST_DRIFT, _SLOWEST_TORQUE = 0.15, 0.15  # s; a slower torque moves the joint as a drift does
+# A muscle needs this long to change its stiffness; what changes faster goes with the motion.
+_FASTEST_CHANGE = 0.2  # s
 _WARP = 0.1  # share of the largest value above which the nodes of a state are spaced by ratios
 _STATE_NODES = 13
 _THRESHOLDS = 14
@@ -606,7 +608,7 @@ class Terms:
             roots,
             ("sd of ln K", "sd of ln B", "length [s]"),
             np.array([0.05, 0.05, 0.3]),
-            _log_range((1e-4, 2.0), (1e-4, 2.0), (spacing, 5.0)),
+            _log_range((1e-4, 2.0), (1e-4, 2.0), (_FASTEST_CHANGE, 5.0)),
             n_scales=2,
         )
 

@@ -177,7 +177,7 @@ class Searcher:
             if self.at_floor(current):
                 ended = "the error reached the noise floor"
                 break
-        current = self._prune(current, baseline)
+        current = self._simplify(self._prune(current, baseline), baseline)
         ladder = self._ladder(current, baseline)
         alternatives = self._alternatives(current, baseline, [key for key, _ in ladder], steps)
         return Search(baseline, tuple(steps), current, ladder, alternatives, len(self.known), ended)
@@ -364,7 +364,10 @@ class Searcher:
         worth = [
             r
             for r in ranking
-            if r.evidence >= max(0.0, _WITHIN_REACH * top) and _refinable(r.candidate, r.key)
+            if r.evidence >= max(0.0, _WITHIN_REACH * top)
+            and _refinable(r.candidate, r.key)
+            # Beside other effects only what is admitted in its plain form: refining takes long.
+            and (r.passes or not current.keys)
         ][:_MOST_REFINED]
         refined: dict[str, Candidate] = {}
         for r in worth:
@@ -445,6 +448,21 @@ class Searcher:
                 continue
             if evidence_for(current, smaller, current) < DECISIVE:
                 current = smaller
+        return current
+
+    def _simplify(self, current: Candidate, baseline: Candidate) -> Candidate:
+        """Put the plain effect in the place of one that refines it, where that does as well."""
+        for key in [k for k in current.keys if k not in baseline.keys and k in self.library]:
+            for plain in self.library[key].refines:
+                if plain not in self.library or plain in current.keys:
+                    continue
+                model = current.model.without(key) + self.library[plain]()
+                simpler = self.fit(model, current, refined=current.refined)
+                if simpler.failure or len(simpler.free) >= len(current.free):
+                    continue
+                if evidence_for(current, simpler, current) < DECISIVE:
+                    current = simpler
+                    break
         return current
 
     def _ladder(self, final: Candidate, baseline: Candidate) -> tuple[tuple[str, Candidate], ...]:

@@ -76,6 +76,7 @@ NAMES = {
 }
 """Families by key, in words."""
 
+_MOST = 0.8  # share of the misfit beyond the noise that counts as most of it: a convention
 _LEAST_QUIET = 8  # bins that a level of the noise may be read from
 _REMAINDER = "unrepeatable"
 _MOST_PAIRS = 3
@@ -202,7 +203,8 @@ class Unexplained:
     Attributes
     ----------
     families : tuple of Family
-        Best first.
+        Best first: by evidence, but for a family whose functions of the motion serve all trials,
+        which comes before those that differ by trial if it explains most of the misfit.
     margin : float
         Nats from the best family to the best of another kind.
     share : float
@@ -234,7 +236,7 @@ class Unexplained:
     @property
     def rival(self) -> Family:
         """Best family of another kind."""
-        return next(f for f in self.families if f.kind != self.best.kind)
+        return _rival(self.families)
 
     @property
     def decided(self) -> bool:
@@ -512,7 +514,8 @@ class Explainer:
                 },
             ).x
             for _ in range(2):
-                noise = self._renewed(columns, terms, split(x), TrialNoise(noise.sds, _rho(x[-1])))
+                before = TrialNoise(noise.sds, _rho(x[-1]))
+                noise = self._renewed(columns, terms, split(x), before)
         values = split(x)
         local, common = self.roots(terms, values)
         posterior = Posterior(columns, noise, local, common)
@@ -596,19 +599,43 @@ def _explanations(explains: Explainer) -> list[Explanation]:
     """All explanations, best first; of each family the best, alone or with a remainder."""
     terms = explains.terms
     rest = terms[_REMAINDER]
-    found = {"none": explains.fit([])} | {k: explains.fit([t]) for k, t in terms.items()}
+    found = {"none": explains.fit([])}
+    for key, t in terms.items():
+        try:
+            found[key] = explains.fit([t])
+        except np.linalg.LinAlgError:
+            # A term that these data cannot tell from the model's own parameters.
+            continue
+    if _REMAINDER not in found:
+        return sorted(found.values(), key=lambda e: -e.log_evidence)
     level = found[_REMAINDER].log_evidence
     best = dict(found)
     if level > found["none"].log_evidence + DECISIVE:
         for key, t in terms.items():
-            if t.kind == "drift" or t is rest or found[key].log_evidence > level:
+            if t.kind == "drift" or t is rest or key not in found:
+                continue
+            if found[key].log_evidence > level:
                 continue
             both = explains.fit([t, rest], [*found[key].values, *found[_REMAINDER].values])
             if both.log_evidence > best[key].log_evidence:
                 best[key] = both
         for pair in _pairs(explains, best):
             best[pair.key] = pair
-    return sorted(best.values(), key=lambda e: -e.log_evidence)
+    return _preferred(sorted(best.values(), key=lambda e: -e.log_evidence))
+
+
+def _preferred(found: list[Explanation]) -> list[Explanation]:
+    """Best first: one function of the motion for all trials before what differs by trial.
+
+    Stiffness or torque that is free in every trial can follow anything smooth, so it is believed
+    only where no single function of the motion explains most of the misfit.
+    """
+    if found[0].kind != "unrepeatable":
+        return found
+    for e in found:
+        if e.kind not in ("none", "drift", "unrepeatable") and e.explained > _MOST:
+            return [e, *(other for other in found if other is not e)]
+    return found
 
 
 def _pairs(explains: Explainer, best: dict[str, Explanation]) -> list[Explanation]:
@@ -635,7 +662,7 @@ def _conclude(
     noise_alone = next(e for e in found if not e.terms).log_evidence
     families = tuple(e.family(noise_alone) for e in found)
     best = found[0]
-    rival = next(f for f in families if f.kind != families[0].kind)
+    rival = _rival(families)
     torque_like = next(e for e in found if any(t.torques is not None for t in e.terms))
     torques, slopes = _missing_torque(explains, torque_like, seed)
     kernel = readout = static = None
@@ -656,6 +683,15 @@ def _conclude(
         readout,
         static,
     )
+
+
+def _rival(families: Sequence[Family]) -> Family:
+    """Best family of another kind; one that differs by trial is no rival to one that does not."""
+    best = families[0]
+    others = [f for f in families if f.kind != best.kind]
+    if best.kind != "unrepeatable":
+        others = [f for f in others if f.kind != "unrepeatable"] or others
+    return max(others, key=lambda f: f.log_evidence)
 
 
 def _noise_ratio(explains: Explainer, found: Explanation) -> float | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from identifiability.files import write_text
 from identifiability.investigation.investigate import Findings
@@ -17,11 +17,8 @@ from identifiability.plots.investigation_where import (
     overlay_figure,
     where_figure,
 )
-from identifiability.plots.style import save
+from identifiability.plots.style import png, save
 from identifiability.report.page import Page
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 _KINDS = {
     "explained": "Explained",
@@ -54,7 +51,7 @@ def write_report(findings: Findings, record: dict[str, Any], out: Path) -> list[
     page = Page("What does the joint model miss?")
     written: list[str] = []
 
-    def show(name: str, draw: Callable[[], Figure], caption: str) -> None:
+    def show(name: str, draw: Callable[[], Any], caption: str) -> None:
         # A figure that cannot be drawn must not take the report with it.
         try:
             figure = draw()
@@ -63,7 +60,7 @@ def write_report(findings: Findings, record: dict[str, Any], out: Path) -> list[
             return
         save(figure, out / f"{name}.png")
         written.append(f"{name}.png")
-        page.figure(figure, caption, alt=caption)
+        page.figure(png(figure), caption, alt=caption)
 
     evidence = findings.evidence
     page.paragraph(

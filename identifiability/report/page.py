@@ -5,12 +5,6 @@ from __future__ import annotations
 import base64
 import html
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
-
-from identifiability.plots.style import png
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 _STYLE = """
 :root { color-scheme: light; }
@@ -101,9 +95,9 @@ class Page:
             f"<tbody>{''.join(body)}</tbody></table></div>"
         )
 
-    def figure(self, figure: Figure, caption: str, *, alt: str) -> None:
-        """Embed a figure as PNG."""
-        data = base64.b64encode(png(figure)).decode()
+    def figure(self, picture: bytes, caption: str, *, alt: str) -> None:
+        """Embed a figure, the bytes of a PNG."""
+        data = base64.b64encode(picture).decode()
         self._parts.append(
             f'<figure><img alt="{html.escape(alt)}" src="data:image/png;base64,{data}">'
             f"<figcaption>{html.escape(caption)}</figcaption></figure>"

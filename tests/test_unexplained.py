@@ -1,0 +1,93 @@
+"""What is left, by kind: noise, sensor, drift, static, memory, unrepeatable."""
+
+import numpy as np
+import pytest
+
+from identifiability.benchmark.cases import cases
+from identifiability.investigation.candidates import Workbench
+from identifiability.investigation.evidence import gather
+from identifiability.investigation.search import baseline
+from identifiability.investigation.unexplained import DECISIVE, unexplained
+from identifiability.joint.effects import EFFECTS
+from identifiability.joint.model import KBI
+from identifiability.joint.response import simulate
+from identifiability.measurement.perturbations import SampledTorque
+from identifiability.measurement.trials import Trial
+
+TIME = np.arange(500) / 1000
+JOINT = {"K": 30.0, "B": 1.0, "I": 0.1}
+DRIVES = [("pulse", 8), ("pulse", -16), ("step", 4), ("step", -6), ("pulse", 12), ("step", 2)]
+
+
+def left_of(model, values, seed=1, noise=3e-3, vary=0.0, drift=0.0):
+    """What K, B and I leave of trials of a model."""
+    rng = np.random.default_rng(seed)
+    trials = []
+    for i, (kind, size) in enumerate(DRIVES):
+        torque = size * ((TIME > 0.05) & ((TIME <= 0.1) | (kind == "step")))
+        theta = model.vector(values | {"K": values["K"] * (1 + vary * (-1) ** (i // 2))})
+        angle = simulate(
+            model,
+            theta,
+            SampledTorque(torque).drive(TIME),
+            substeps=None if model.linear else 2,
+        )
+        size_of = np.sqrt(np.mean(angle**2))
+        angle = angle + noise * size_of * rng.standard_normal(TIME.size)
+        angle = angle + drift * size_of * rng.standard_normal() * TIME**2
+        trials.append(Trial(TIME, torque, angle, name=f"t{i}", condition=kind))
+    bench = Workbench(gather(trials, trials[:1]))
+    found = baseline(bench, KBI(), JOINT)
+    return unexplained(bench, found)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_noise_is_noise(seed):
+    rest = left_of(KBI(), JOINT, seed)
+    assert rest.best.kind == "none"
+    assert rest.noise_ratio == pytest.approx(1.0, abs=0.35)
+
+
+@pytest.mark.parametrize(
+    ("effect", "values", "kind"),
+    [
+        ("cubic_stiffness", {"coefficient": 250.0}, "static"),
+        ("maxwell_branch", {"stiffness": 25.0, "time_constant": 0.05}, "memory"),
+        ("sensor_delay", {"delay": 0.006}, "sensor"),
+    ],
+)
+def test_each_kind_is_recognised(effect, values, kind):
+    model = KBI() + EFFECTS[effect]()
+    known = {f"{effect}.{name}": value for name, value in values.items()}
+    whole = dict(zip(model.parameter_names, model.nominal, strict=True)) | JOINT | known
+    rest = left_of(model, whole)
+    assert rest.best.kind == kind
+    assert rest.margin > DECISIVE
+    assert rest.share > 0.9
+    assert all(np.all(np.isfinite(t.mean)) and np.all(t.sd >= 0) for t in rest.torque)
+
+
+def test_stiffness_that_differs_from_trial_to_trial_is_unrepeatable():
+    rest = left_of(KBI(), JOINT, vary=0.08)
+    assert rest.best.kind == "unrepeatable"
+    assert "trial to trial" in rest.sentence
+
+
+def test_a_drift_is_a_drift():
+    assert left_of(KBI(), JOINT, drift=0.5).best.kind == "drift"
+
+
+def test_the_missing_torque_is_the_one_that_is_missing():
+    """Cubic stiffness of an independent simulator: the torque by angle, but for a linear part."""
+    case = next(s for s in cases("singles", 3) if s.keys == ("cubic_stiffness",)).build()
+    bench = Workbench(gather(case.fit, case.held_out))
+    found = baseline(bench, KBI(), JOINT)
+    rest = unexplained(bench, found)
+    assert rest.best.kind == "static"
+    angles = np.concatenate([r.compared for r in bench.evidence.fitted])
+    torque = np.concatenate([t.mean for t in rest.torque])
+    strong = np.abs(angles) > 0.5 * np.abs(angles).max()
+    shape = np.column_stack([angles, angles**3])[strong]
+    linear, cubic = np.linalg.lstsq(shape, torque[strong], rcond=None)[0]
+    assert linear * cubic < 0
+    assert np.corrcoef(shape @ [linear, cubic], torque[strong])[0, 1] > 0.9
