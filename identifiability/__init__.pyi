@@ -1,3 +1,4 @@
+from .benchmark.cases import HiddenCase, hidden_cases
 from .errors import InputError
 from .inference.archive import to_datatree, write_netcdf
 from .inference.curvature import Curvature, curvature, largest_change
@@ -13,7 +14,7 @@ from .investigation.evidence import Evidence
 from .investigation.investigate import Findings, Investigation, investigate
 from .investigation.locate import Location
 from .investigation.next_experiment import Limits, NextExperiment
-from .investigation.record import record as investigation_record
+from .investigation.record import investigation_record
 from .investigation.search import Search
 from .investigation.unexplained import Unexplained
 from .investigation.verdict import Verdict
@@ -60,8 +61,7 @@ from .measurement.trials import Trial, onsets
 from .plots.corner import corner_figure
 from .plots.investigation import ladder_figure, ranking_figure, widths_figure
 from .plots.investigation_unexplained import unexplained_figure
-from .plots.investigation_where import comparison_figure, where_figure
-from .plots.investigation_where import overlay_figure as investigation_overlay_figure
+from .plots.investigation_where import comparison_figure, responses_figure, where_figure
 from .plots.recording import overlay_figure, windows_figure
 from .report.investigation import write_report
 from .study.approximations import high_frequency, low_frequency
@@ -72,6 +72,8 @@ __all__ = [  # noqa: RUF022 -- in the order of use
     "Trial",
     "read_trial",
     "example_trials",
+    "hidden_cases",
+    "HiddenCase",
     "onsets",
     "Perturbation",
     "PERTURBATIONS",
@@ -157,7 +159,7 @@ __all__ = [  # noqa: RUF022 -- in the order of use
     "unexplained_figure",
     "comparison_figure",
     "where_figure",
-    "investigation_overlay_figure",
+    "responses_figure",
     "overlay_figure",
     "windows_figure",
 ]

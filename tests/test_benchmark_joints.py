@@ -14,7 +14,7 @@ from scipy import integrate, signal
 
 import identifiability.benchmark
 from identifiability.benchmark.anatomy import Anatomy
-from identifiability.benchmark.cases import QUICK, TIERS, cases
+from identifiability.benchmark.cases import QUICK, TIERS, hidden_cases
 from identifiability.benchmark.effects import (
     EFFECTS,
     ActivationLag,
@@ -540,7 +540,7 @@ def test_what_else_a_recorder_does():
 
 
 def test_the_tiers():
-    tiers = {tier: cases(tier, 7) for tier in TIERS}
+    tiers = {tier: hidden_cases(tier, 7) for tier in TIERS}
     assert {tier: len(specs) for tier, specs in tiers.items()} == {
         "singles": 45,
         "controls": 20,
@@ -564,12 +564,16 @@ def test_the_tiers():
     assert {spec.keys[0] for spec in tiers["unknown"]} == set(UNKNOWNS)
     assert {spec.kind for spec in tiers["quick"]} == {"none", "known", "unknown"}
     with pytest.raises(InputError, match="tier"):
-        cases("impossible", 0)
+        hidden_cases("impossible", 0)
 
 
 def test_a_case_is_made_of_its_seed_alone():
-    specs = {seed: cases("quick", seed) for seed in (1, 2)}
-    first, again, other = specs[1][4].build(), cases("quick", 1)[4].build(), specs[2][4].build()
+    specs = {seed: hidden_cases("quick", seed) for seed in (1, 2)}
+    first, again, other = (
+        specs[1][4].build(),
+        hidden_cases("quick", 1)[4].build(),
+        specs[2][4].build(),
+    )
     for one, two in zip((*first.fit, *first.held_out), (*again.fit, *again.held_out), strict=True):
         assert one.angle.tobytes() == two.angle.tobytes()
         assert one.torque.tobytes() == two.torque.tobytes()
@@ -580,7 +584,7 @@ def test_a_case_is_made_of_its_seed_alone():
 
 @pytest.mark.parametrize("number", range(len(QUICK)))
 def test_quick_cases_can_be_built(number):
-    spec = cases("quick", 5)[number]
+    spec = hidden_cases("quick", 5)[number]
     case = spec.build()
     assert (case.name, case.truth, case.kind) == (spec.name, spec.keys, spec.kind)
     assert (len(case.fit), len(case.held_out)) == (6, 2)
@@ -595,7 +599,7 @@ def test_quick_cases_can_be_built(number):
 
 
 def test_stiffness_and_damping_vary_where_they_should():
-    spec = dataclasses.replace(cases("controls", 3)[17], protocol="short")
+    spec = dataclasses.replace(hidden_cases("controls", 3)[17], protocol="short")
     assert spec.kind == "unrepeatable"
     varied = spec.build()
     same = dataclasses.replace(spec, variation=0.0).build()
@@ -608,7 +612,7 @@ def test_stiffness_and_damping_vary_where_they_should():
 
 
 def test_an_effect_below_the_noise_is_weak():
-    spec = cases("quick", 5)[2]
+    spec = hidden_cases("quick", 5)[2]
     assert spec.keys == ("series_tendon",)
     assert not spec.build().weak
     drowned = dataclasses.replace(spec, recorder=Recorder(0.3))

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identifiability.benchmark.cases import cases
+from identifiability.benchmark.cases import hidden_cases
 from identifiability.benchmark.score import matched, outcome_of, wilson
 from identifiability.cli.main import main
 from identifiability.errors import InputError
@@ -268,7 +268,7 @@ def write(folder, trial):
 
 
 def test_the_command_finds_a_hidden_effect(tmp_path, capsys):
-    spec = next(s for s in cases("quick", 1) if s.kind == "known")
+    spec = next(s for s in hidden_cases("quick", 1) if s.kind == "known")
     case = spec.build()
     folder = tmp_path / "trials"
     folder.mkdir()

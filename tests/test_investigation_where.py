@@ -25,7 +25,7 @@ from identifiability.measurement.perturbations import SampledTorque
 from identifiability.measurement.trials import Trial
 from identifiability.plots.investigation_where import (
     comparison_figure,
-    overlay_figure,
+    responses_figure,
     where_figure,
 )
 
@@ -401,7 +401,7 @@ def test_perturbations_of_a_long_record_have_levels_of_their_own():
     assert not location.noise_known
     assert "angle" in location.frequency.sentence
     where_figure(location)
-    overlay_figure(bench.evidence, candidate)
+    responses_figure(bench.evidence, candidate)
 
 
 # Figures
@@ -428,7 +428,7 @@ def test_figures_have_a_panel_for_everything_and_labels_with_units():
 def test_the_overlay_shows_at_most_eight_trials():
     trials = [t for seed in (1, 2) for t in recorded(*TENDON, seed=seed)]
     bench, before = fitted(trials)
-    figure = overlay_figure(bench.evidence, before, before)
+    figure = responses_figure(bench.evidence, before, before)
     visible = [panel for panel in figure.axes if panel.get_visible()]
     assert len(visible) == 2 * 8
     assert "4 more trials" in figure.get_supxlabel()

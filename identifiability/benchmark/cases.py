@@ -279,7 +279,7 @@ QUICK: tuple[tuple[str, int], ...] = (
 """A few of every tier, by tier and number."""
 
 
-def cases(tier: str, seed: int) -> list[CaseSpec]:
+def hidden_cases(tier: str, seed: int) -> list[CaseSpec]:
     """List the cases of a tier; each is built, deterministically, by its own `CaseSpec.build`.
 
     Parameters
@@ -299,7 +299,7 @@ def cases(tier: str, seed: int) -> list[CaseSpec]:
     if tier not in TIERS:
         raise InputError(f"found the tier '{tier}', expected one of {list(TIERS)}")
     if tier == "quick":
-        full = {name: cases(name, seed) for name in {source for source, _ in QUICK}}
+        full = {name: hidden_cases(name, seed) for name in {source for source, _ in QUICK}}
         return [
             dataclasses.replace(
                 full[source][number], name=f"quick-{full[source][number].name}", protocol="short"

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from identifiability.benchmark.cases import CaseSpec, cases
+from identifiability.benchmark.cases import CaseSpec, hidden_cases
 from identifiability.benchmark.score import Score, matched, outcome_of
 from identifiability.errors import InputError
 from identifiability.files import write_json
@@ -41,7 +41,7 @@ def run_benchmark(
         Told ``(what, done, total, seconds left)``.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    specs = [(tier, spec) for tier in tiers for spec in cases(tier, seed)[::every]]
+    specs = [(tier, spec) for tier in tiers for spec in hidden_cases(tier, seed)[::every]]
     scores, spent, fresh = [], 0.0, 0
     for done, (tier, spec) in enumerate(specs):
         path = folder / f"{spec.name}-{seed}.json"

@@ -34,7 +34,7 @@ def add_parser(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the subcommand."""
-    from identifiability.benchmark.cases import cases
+    from identifiability.benchmark.cases import hidden_cases
     from identifiability.benchmark.page import page, summary
     from identifiability.benchmark.run import WHOLE, run_benchmark
     from identifiability.cli.main import PARTIAL
@@ -53,7 +53,7 @@ def run(options: argparse.Namespace) -> int:
         every=options.every,
         progress=_announce,
     )
-    tried = sum(len(cases(tier, options.seed)) for tier in tiers)
+    tried = sum(len(hidden_cases(tier, options.seed)) for tier in tiers)
     record = summary(scores, seed=options.seed, tried=tried)
     write_json(out / "investigation.json", record)
     save(confusion_figure(scores), out / "investigation" / "confusion.png")

@@ -102,10 +102,10 @@ def run(options: argparse.Namespace) -> int:
 def save(findings: Findings, out: Path, *, command: str) -> list[str]:
     """Write record, report and figures into a folder; returns the files' names."""
     from identifiability.files import write_json
-    from identifiability.investigation.record import record
+    from identifiability.investigation.record import investigation_record
     from identifiability.report.investigation import write_report
 
-    plain = record(findings, command=command)
+    plain = investigation_record(findings, command=command)
     write_json(out / "investigation.json", plain)
     figures = write_report(findings, plain, out)
     return ["investigation.json", "report.html", *figures]

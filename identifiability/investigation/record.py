@@ -19,7 +19,7 @@ from identifiability.investigation.unexplained import Unexplained
 SCHEMA = 1
 
 
-def record(findings: Findings, *, command: str = "") -> dict[str, Any]:
+def investigation_record(findings: Findings, *, command: str = "") -> dict[str, Any]:
     """Plain record of an investigation.
 
     Parameters

@@ -178,9 +178,11 @@ def whitening(part: Sequence[Ready], residual: Residual) -> Whitening:
     """
     if all(ready.lead.n_samples and ready.lead.sd > 0 for ready in part):
         leads = [np.asarray(ready.response[: ready.lead.n_samples]) for ready in part]
-        found = _from_leads(leads)
-        if np.all(found.sds > 0):
-            return found
+        # At rest a coarse recorder may show no noise at all.
+        if all(np.any(x) for x in leads):
+            found = _from_leads(leads)
+            if np.all(found.sds > 0):
+                return found
     return _from_residuals(part, residual)
 
 

@@ -23,7 +23,9 @@ _INTERVAL = 1.96  # standard errors of a 95 % interval
 _UNITS = {"torque": "rad", "angle": "Nm"}  # of the response to it
 
 
-def overlay_figure(evidence: Evidence, before: Candidate, after: Candidate | None = None) -> Figure:
+def responses_figure(
+    evidence: Evidence, before: Candidate, after: Candidate | None = None
+) -> Figure:
     """Measured and predicted responses of up to eight trials, and under each what is left.
 
     Where there are more, those are shown that the first model describes worst, each kind once

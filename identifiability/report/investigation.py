@@ -14,7 +14,7 @@ from identifiability.plots.investigation import ladder_figure, ranking_figure, w
 from identifiability.plots.investigation_unexplained import unexplained_figure
 from identifiability.plots.investigation_where import (
     comparison_figure,
-    overlay_figure,
+    responses_figure,
     where_figure,
 )
 from identifiability.plots.style import png, save
@@ -38,7 +38,7 @@ def write_report(findings: Findings, record: dict[str, Any], out: Path) -> list[
     ----------
     findings : Findings
     record : dict
-        From `identifiability.investigation.record.record`.
+        From `identifiability.investigation.record.investigation_record`.
     out : Path
         An existing folder.
 
@@ -74,7 +74,7 @@ def write_report(findings: Findings, record: dict[str, Any], out: Path) -> list[
     after = search.final if search.final is not search.baseline else None
     show(
         "overlay",
-        lambda: overlay_figure(evidence, search.baseline, after),
+        lambda: responses_figure(evidence, search.baseline, after),
         "Measured and predicted responses, and under each what is left.",
     )
     if findings.comparison is not None:
