@@ -1,0 +1,126 @@
+"""Next experiment, smallest visible effects, record, report and figures of an investigation."""
+
+import json
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_investigation import HELD, JOINT, trials
+
+from identifiability.files import plain
+from identifiability.investigation.investigate import Investigation, investigate
+from identifiability.investigation.next_experiment import RESOLVED, Limits, next_experiment
+from identifiability.investigation.power import detectable
+from identifiability.investigation.record import investigation_record
+from identifiability.joint.effects import EFFECTS
+from identifiability.joint.model import KBI
+from identifiability.report.investigation import write_report
+
+SMALL = {k: EFFECTS[k] for k in ("quadratic_stiffness", "cubic_stiffness")}
+
+
+@pytest.fixture(scope="module")
+def quiet_study():
+    return Investigation(
+        trials(KBI(), JOINT), trials(KBI(), JOINT, seed=9, conditions=HELD), library=SMALL
+    )
+
+
+def test_the_smallest_effect_that_would_be_seen_is_seen(quiet_study):
+    """An effect of three times that size is admitted, one of a third of it is not."""
+    kbi = quiet_study.fit(KBI())
+    smallest = {d.key: d for d in detectable(quiet_study.bench, kbi, SMALL)}["cubic_stiffness"]
+    model = KBI() + EFFECTS["cubic_stiffness"]()
+    for factor, found in ((3.0, "cubic_stiffness"), (1 / 3, "")):
+        values = JOINT | {"cubic_stiffness.coefficient": factor * smallest.size}
+        study = Investigation(
+            trials(model, values), trials(model, values, seed=9, conditions=HELD), library=SMALL
+        )
+        assert study.rank(study.fit(KBI())).chosen == found
+
+
+def test_a_larger_torque_tells_springs_apart_better(quiet_study):
+    """Cubic against quadratic stiffness: evidence grows with the size of the motion."""
+    study = quiet_study
+    shared = JOINT | {"cubic_stiffness.coefficient": 5.0}
+    cubic = KBI() + EFFECTS["cubic_stiffness"]()
+    candidate = replace(
+        study.fit(KBI()),
+        model=cubic,
+        values=shared,
+        free=cubic.parameter_names,
+    )
+    rival = study.fit(KBI() + EFFECTS["quadratic_stiffness"]())
+    pair = ("cubic_stiffness", "quadratic_stiffness")
+    results = [
+        next_experiment(study.bench, candidate, rival, pair, limits=Limits(torque, 3.0, 0.5))
+        for torque in (8.0, 16.0)
+    ]
+    small, large = (r.best.expected_evidence for r in results)
+    assert large > 4 * small > 0
+    for r in results:
+        assert r.best.amplitude <= r.limits.torque * (1 + 1e-9)
+        assert r.best.peak_angle <= r.limits.angle
+        assert r.resolved == (r.best.expected_evidence >= RESOLVED)
+
+
+def test_a_failed_candidate_is_shown_and_does_not_stop_the_rest(tmp_path):
+    class Explosive(EFFECTS["cubic_stiffness"]):
+        key = "explosive"
+
+        def torque(self, p, motion, states, delayed):
+            return p[0] * motion.angle / 0.0
+
+    model = KBI() + EFFECTS["cubic_stiffness"]()
+    values = JOINT | {"cubic_stiffness.coefficient": 120.0}
+    findings = investigate(
+        trials(model, values),
+        trials(model, values, seed=9, conditions=HELD),
+        library=SMALL | {"explosive": Explosive},
+        seed=3,
+    )
+    assert findings.verdict.kind == "explained"
+    assert findings.verdict.effects == ("cubic_stiffness",)
+    record = investigation_record(findings, command="identifiability investigate trials")
+    assert record["steps"][-1]["error_held_out"] < 0.1 * record["baseline"]["error_held_out"]
+    failures = [c for step in record["rankings"] for c in step["candidates"] if "failure" in c]
+    assert [c["effect"] for c in failures][0] == "explosive"
+    json.dumps(record, allow_nan=False)
+    figures = write_report(findings, record, tmp_path)
+    page = (tmp_path / "report.html").read_text()
+    assert "could not be drawn" not in page
+    assert "no fit" in page
+    for heading in (
+        "Data and model",
+        "Where the baseline fails",
+        "Which effect is missing",
+        "Error ladder",
+        "Unexplained torque",
+        "Parameters and their widths",
+        "Next experiment",
+        "How this was computed",
+    ):
+        assert heading in page
+    assert page.count("data:image/png;base64,") == len(figures)
+    # Nothing is fetched from elsewhere.
+    assert not re.search(r'(src|href)="(?!data:|#)', page)
+
+
+def test_the_same_seed_gives_the_same_record():
+    def run():
+        found = investigate(
+            trials(KBI(), JOINT),
+            trials(KBI(), JOINT, seed=9, conditions=HELD),
+            library={"cubic_stiffness": EFFECTS["cubic_stiffness"]},
+            seed=5,
+        )
+        return investigation_record(found)
+
+    assert json.dumps(run()) == json.dumps(run())
+
+
+def test_plain_knows_what_json_does_not():
+    found = plain({"a": np.float64("nan"), "b": (np.int64(2), np.bool_(True)), "c": float("inf")})
+    assert found == {"a": None, "b": [2, True], "c": None}
+    json.dumps(found)
