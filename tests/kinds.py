@@ -53,7 +53,13 @@ GENERIC = {
     "sensor_drift": {"bend": 0.1},
     "sensor_lowpass": {"second_time_constant": 0.002},
     "short_range_stiffness": {"renewal": 5.0},
-    "stretch_reflex": {"asymmetry": 0.3, "threshold": 0.2, "off_ratio": 1.7, "delay": 0.0203},
+    "stretch_reflex": {
+        "asymmetry": 0.3,
+        "threshold": 0.2,
+        "off_ratio": 1.7,
+        "damping_ratio": 0.8,
+        "delay": 0.0203,
+    },
 }
 
 

@@ -315,7 +315,9 @@ def test_steps_of_a_millisecond_are_stable(effect, driven, order):
     # At typical values steps of a millisecond are enough.
     typical = values_of(model)
     coarse, finer = (respond(model, typical, d, order) for d in (drive, halved(drive)))
-    agree(coarse[:101], finer[::2], BETWEEN_SAMPLES.get(effect.key, {4: 1e-6, 2: 1e-3}[order]))
+    # Where the effect is in pieces its corners fall inside steps.
+    fine = {4: 1e-5 if effect.key in IN_PIECES else 1e-6, 2: 1e-3}[order]
+    agree(coarse[:101], finer[::2], BETWEEN_SAMPLES.get(effect.key, fine))
 
 
 def test_both_causalities_tell_the_same_story(effect):

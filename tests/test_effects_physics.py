@@ -265,7 +265,8 @@ def imposed_step(size, back=None):
 
 
 def reflex_torque(drive, **own):
-    gains = GAINS | {"asymmetry": 0.0, "threshold": 0.0, "off_ratio": 1.0} | own
+    plain = {"asymmetry": 0.0, "threshold": 0.0, "off_ratio": 1.0, "damping_ratio": 1.0}
+    gains = GAINS | plain | own
     return response("stretch_reflex", drive, substeps=4, K=0.0, B=0.0, **gains)
 
 
@@ -281,6 +282,17 @@ def test_reflex_to_a_step_comes_late_and_rises_in_second_order():
     # Less well where the jump arrives inside a step.
     found = reflex_torque(imposed_step(0.1), delay=0.0203)
     agree(found, 40 * 0.1 * second_order(TIME - 0.0403, 0.015), 1e-3)
+
+
+@pytest.mark.parametrize("damping", [0.5, 0.8])
+def test_reflex_activation_overshoots_as_its_damping_says(damping):
+    """Closed form of an underdamped second-order system's answer to a step."""
+    found = reflex_torque(imposed_step(0.1), damping_ratio=damping)
+    since = np.maximum(TIME - 0.04, 0.0)
+    natural = 1 / (damping * 0.015)
+    turning = natural * np.sqrt(1 - damping**2)
+    swing = np.cos(turning * since) + damping * natural / turning * np.sin(turning * since)
+    agree(found, 40 * 0.1 * (1 - np.exp(-damping * natural * since) * swing), 1e-9)
 
 
 def test_reflex_with_asymmetry_answers_one_direction_more():

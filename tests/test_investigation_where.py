@@ -93,6 +93,7 @@ FAST_REFLEX = (
     ("stretch_reflex.asymmetry", 0.0),
     ("stretch_reflex.threshold", 0.0),
     ("stretch_reflex.off_ratio", 1.0),
+    ("stretch_reflex.damping_ratio", 1.0),
 )
 
 

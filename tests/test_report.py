@@ -85,7 +85,7 @@ def test_a_failed_candidate_is_shown_and_does_not_stop_the_rest(tmp_path):
     record = investigation_record(findings, command="identifiability investigate trials")
     assert record["steps"][-1]["error_held_out"] < 0.1 * record["baseline"]["error_held_out"]
     failures = [c for step in record["rankings"] for c in step["candidates"] if "failure" in c]
-    assert [c["effect"] for c in failures][0] == "explosive"
+    assert next(c["effect"] for c in failures) == "explosive"
     json.dumps(record, allow_nan=False)
     figures = write_report(findings, record, tmp_path)
     page = (tmp_path / "report.html").read_text()
