@@ -113,6 +113,8 @@ def save(findings: Findings, out: Path, *, command: str) -> list[str]:
 
 def summary(findings: Findings) -> str:
     """What was found, as text."""
+    from identifiability.investigation.pinned import interval, not_pinned_down
+
     search, verdict = findings.search, findings.verdict
     floor = findings.evidence.noise_floor()
     lines = [verdict.sentence, ""]
@@ -128,10 +130,12 @@ def summary(findings: Findings) -> str:
     if findings.widths is not None:
         lines.append("")
         for row in findings.widths.rows:
-            low, high = row.posterior_95
+            low, high, source = interval(row)
             lines.append(
-                f"{row.name} = {row.optimum:.4g} (95 %: {low:.4g} to {high:.4g}): {row.verdict}"
+                f"{row.name} = {row.optimum:.4g} (95 % by {source}: {low:.4g} to {high:.4g}): "
+                f"{row.verdict}"
             )
+        lines += ["", *not_pinned_down(findings.widths)]
     lines += [f"note: {warning}" for warning in findings.warnings]
     return "\n".join(lines)
 

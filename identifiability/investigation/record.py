@@ -13,6 +13,7 @@ from identifiability.inference.archive import package_version
 from identifiability.investigation.candidates import Candidate
 from identifiability.investigation.evidence import Ready
 from identifiability.investigation.investigate import Findings
+from identifiability.investigation.pinned import not_pinned_down
 from identifiability.investigation.search import Ranked
 from identifiability.investigation.unexplained import Unexplained
 
@@ -96,6 +97,9 @@ def investigation_record(findings: Findings, *, command: str = "") -> dict[str, 
             "final": _unexplained(findings.unexplained_after),
         },
         "widths": None if findings.widths is None else findings.widths.to_dict(),
+        "not_pinned_down": []
+        if findings.widths is None
+        else list(not_pinned_down(findings.widths)),
         "trials": [
             *(_trial(r, "fitted") for r in evidence.fitted),
             *(_trial(r, "held out") for r in evidence.held_out),

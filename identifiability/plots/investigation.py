@@ -123,11 +123,12 @@ def widths_figure(result: Widths) -> Figure:
         axes = figure.subplots()
         for i, row in enumerate(rows):
             size = abs(row.optimum) or 1.0
+            posterior = None if row.verdict == "not converged" else row.posterior_sd
             kinds = (
                 (row.slice, GREY, "slice (others held)"),
                 (row.quadratic, VERMILLION, "quadratic (Hessian)"),
                 (row.profile, ORANGE, "profile"),
-                (row.posterior_sd, BLUE, "posterior sd"),
+                (posterior, BLUE, "posterior sd"),
             )
             for k, (width, colour, _) in enumerate(kinds):
                 if width is not None and np.isfinite(width) and width > 0:

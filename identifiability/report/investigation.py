@@ -8,6 +8,7 @@ from typing import Any
 
 from identifiability.files import write_text
 from identifiability.investigation.investigate import Findings
+from identifiability.investigation.pinned import interval, not_pinned_down
 from identifiability.investigation.search import DECISIVE, Ranked, Step
 from identifiability.joint.effects import EFFECTS
 from identifiability.plots.investigation import ladder_figure, ranking_figure, widths_figure
@@ -174,6 +175,8 @@ def write_report(findings: Findings, record: dict[str, Any], out: Path) -> list[
         _values_table(page, search.final.values, search.final.model.parameters)
     else:
         found = findings.widths
+        loose = not_pinned_down(found)
+        page.items(list(loose) or ["All parameters are known to better than half their value."])
         _widths_table(page, found, search.final.model.parameters)
         show("widths", lambda: widths_figure(found), "Widths over values of all parameters.")
 
@@ -291,8 +294,8 @@ def _widths_table(page: Page, found: Any, parameters: Any) -> None:
             _number(row.slice),
             _number(row.quadratic),
             _number(row.profile),
-            _number(row.posterior_sd),
-            "{:.4g} to {:.4g}".format(*row.posterior_95),
+            "" if row.verdict == "not converged" else _number(row.posterior_sd),
+            "{:.4g} to {:.4g} ({})".format(*interval(row)),
             f"{row.verdict}: {row.reason}",
         ]
         for row in found.rows
