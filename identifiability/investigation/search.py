@@ -2,9 +2,10 @@
 
 Evidence for a larger model is the logarithm of the ratio of the weighted residuals, times the
 number of samples that count as independent, less a penalty for its parameters: the Bayesian
-information criterion of Schwarz 1978 (Ann Stat 6: 461-464) with an unknown scale of the noise. The
-residual of a model that is not exact is correlated, so it counts for few samples; at the noise
-floor nearly all count.
+information criterion of Schwarz 1978 (Ann Stat 6: 461-464) with an unknown scale of the noise.
+Trials that were held out add twice their gain in log likelihood, with no penalty: an effect may
+show only in the condition that was not fitted. The residual of a model that is not exact is
+correlated, so it counts for few samples; at the noise floor nearly all count.
 """
 
 from __future__ import annotations
@@ -52,7 +53,8 @@ class Ranked:
         Effect that it adds, or puts in another's place.
     candidate : Candidate
     evidence : float
-        Decrease of the information criterion against the model before, positive if better.
+        Decrease of the information criterion against the model before, plus twice the gain in log
+        likelihood of the held-out trials, which were predicted and pay no penalty.
     held_out_gain : float
         Logarithm of the ratio of the weighted held-out residuals before and after.
     passes : bool
@@ -136,6 +138,28 @@ def evidence_for(larger: Candidate, smaller: Candidate, best: Candidate) -> floa
     extra = len(larger.free) - len(smaller.free)
     ratio = smaller.fitted.weighted / larger.fitted.weighted
     return float(samples * np.log(ratio) - extra * np.log(samples))
+
+
+def predictive_evidence(larger: Candidate, smaller: Candidate) -> float:
+    """Twice the gain in log likelihood of the held-out trials from one model to another.
+
+    Parameters
+    ----------
+    larger, smaller : Candidate
+        Neither was fitted to these trials.
+    """
+    if not larger.held_out.by_trial or not smaller.held_out.by_trial:
+        return 0.0
+    if not np.isfinite(larger.held_out.weighted):
+        return -np.inf
+    best = min(larger.held_out, smaller.held_out, key=lambda part: part.weighted)
+    samples = effective_samples(best, difference(smaller.held_out, larger.held_out))
+    return float(samples * np.log(smaller.held_out.weighted / larger.held_out.weighted))
+
+
+def total_evidence(larger: Candidate, smaller: Candidate, best: Candidate) -> float:
+    """Evidence of the fitted trials, and of the held-out ones."""
+    return evidence_for(larger, smaller, best) + predictive_evidence(larger, smaller)
 
 
 @dataclass(eq=False)
@@ -319,7 +343,7 @@ class Searcher:
     def _judge(self, key: str, candidate: Candidate, current: Candidate, best: Candidate) -> Ranked:
         if candidate.failure:
             return Ranked(key, candidate, -np.inf, -np.inf, False, candidate.failure)
-        gain = evidence_for(candidate, current, best)
+        gain = total_evidence(candidate, current, best)
         held = held_out_gain(candidate, current)
         reason = ""
         if gain < DECISIVE:
@@ -347,11 +371,9 @@ class Searcher:
         always decisive. What is left near the noise floor is not judged by its share.
         """
         evidence = self.bench.evidence
-        part = evidence.held_out or evidence.fitted
-        floor = evidence.noise_floor(part)
-        before, after = (
-            (c.held_out if evidence.held_out else c.fitted).error for c in (current, candidate)
-        )
+        everything = (*evidence.fitted, *evidence.held_out)
+        floor = evidence.noise_floor(everything)
+        before, after = (_pooled_error(c) for c in (current, candidate))
         if floor is None:
             return after < (1 - _SHARE_UNKNOWN_NOISE) * before
         if before < _NEAR_FLOOR * floor:
@@ -446,7 +468,7 @@ class Searcher:
             smaller = self.fit(current.model.without(key), baseline, refined=current.refined)
             if smaller.failure:
                 continue
-            if evidence_for(current, smaller, current) < DECISIVE:
+            if total_evidence(current, smaller, current) < DECISIVE:
                 current = smaller
         return current
 
@@ -460,7 +482,7 @@ class Searcher:
                 simpler = self.fit(model, current, refined=current.refined)
                 if simpler.failure or len(simpler.free) >= len(current.free):
                     continue
-                if evidence_for(current, simpler, current) < DECISIVE:
+                if total_evidence(current, simpler, current) < DECISIVE:
                     current = simpler
                     break
         return current
@@ -481,7 +503,7 @@ class Searcher:
                 )
                 for key in left
             ]
-            key, below = min(tried, key=lambda pair: pair[1].fitted.weighted)
+            key, below = min(tried, key=lambda pair: _pooled_error(pair[1]))
             rungs.append((key, below))
             left.remove(key)
         return tuple(rungs)
@@ -502,6 +524,14 @@ class Searcher:
                 ranked = self._swaps(key, final, baseline)
             out[key] = tuple(sorted(ranked, key=lambda r: -r.evidence))
         return out
+
+
+def _pooled_error(candidate: Candidate) -> float:
+    """E pooled over all trials, fitted and held out."""
+    parts = [candidate.fitted.errors]
+    if candidate.held_out.by_trial:
+        parts.append(candidate.held_out.errors)
+    return float(np.mean(np.concatenate(parts)))
 
 
 def _least(candidates: Iterable[Candidate]) -> Candidate:
