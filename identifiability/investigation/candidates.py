@@ -18,7 +18,7 @@ from identifiability.joint.model import Model
 
 _FACTORS = (0.4, 1.0, 2.5)
 _MOST_STARTS = 6
-GLANCE, THOROUGH = 10, 100
+GLANCE, THOROUGH = 10, 60
 """Evaluations from each start: to see whether a candidate is worth more, and to finish it."""
 _KEPT, _NEAR = 2, 2.0  # starts that are carried on: so many, at most so many times the best cost
 

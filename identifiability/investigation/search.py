@@ -38,7 +38,10 @@ _SHARE, _SHARE_UNKNOWN_NOISE = 1 / 3, 0.1
 known: conventions."""
 _NEAR_FLOOR = 1.5
 _SCREENED = 6  # effects that are fitted at every step after the first
-_WORTH, _LEAST_FINISHED = 0.3, 4  # share of the best gain at a glance, and number, to be finished
+# Share of the best gain at a glance, and least number, to be finished: at first, and later on,
+# when models take longer.
+_WORTH, _LEAST_FINISHED = 0.3, 4
+_WORTH_LATER, _LEAST_LATER = 0.5, 2
 
 Progress = Callable[[str, int, int], None]
 
@@ -274,8 +277,9 @@ class Searcher:
         ]
         best = max(gains, default=0.0)
         order = np.argsort(gains)[::-1]
-        enough = {int(i) for i in order[:_LEAST_FINISHED]}
-        worth = {i for i, gain in enumerate(gains) if gain > _WORTH * best} | enough
+        share, least = (_WORTH_LATER, _LEAST_LATER) if current.keys else (_WORTH, _LEAST_FINISHED)
+        enough = {int(i) for i in order[:least]}
+        worth = {i for i, gain in enumerate(gains) if gain > share * best} | enough
         todo = [(c.model, key) for i, (key, c) in enumerate(glanced) if i in worth]
         finished = dict(
             self._map(
