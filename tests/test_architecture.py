@@ -280,7 +280,8 @@ TEXTS = (
 def test_nothing_is_left_to_be_done():
     words = ("TO" + "DO", "FIX" + "ME", "X" * 3)
     for path in TEXTS:
-        text = path.read_text(encoding="utf-8")
+        # Pictures in notebooks spell anything.
+        text = re.sub(r'"image/png": "[^"]*"', "", path.read_text(encoding="utf-8"))
         assert not [word for word in words if re.search(rf"\b{word}\b", text)], path
 
 
