@@ -20,6 +20,7 @@ from jax.typing import ArrayLike
 from identifiability.errors import InputError
 from identifiability.joint.integrator import integrate
 from identifiability.joint.model import Model
+from identifiability.joint.programs import make_room
 from identifiability.joint.response import exact_response
 from identifiability.measurement.noise import Noise
 from identifiability.measurement.perturbations import Drive
@@ -304,6 +305,7 @@ class Problem:
             )
         if len({o.drive.readout.shape for o in self.observations}) != 1:
             raise InputError("the observations must all be driven alike, by torque or by angle")
+        make_room()
 
     @cached_property
     def free(self) -> tuple[int, ...]:

@@ -21,6 +21,7 @@ _MOST_STARTS = 6
 GLANCE, THOROUGH = 10, 60
 """Evaluations from each start: to see whether a candidate is worth more, and to finish it."""
 _KEPT, _NEAR = 2, 2.0  # starts that are carried on: so many, at most so many times the best cost
+_DIVERGED = 1e100  # stands for a response without bound; its squares can still be summed
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,6 +159,7 @@ class Workbench:
         problem = self.problem(model, part, refined=refined)
         theta = model.vector(values)[list(problem.free)]
         white = problem.residuals(theta).reshape(self.evidence.room)
+        white = np.clip(np.nan_to_num(white, nan=_DIVERGED), -_DIVERGED, _DIVERGED)
         compared = [
             row[: o.scale.size][o.scale > 0]
             for row, o in zip(white, problem.observations, strict=False)
@@ -202,7 +204,7 @@ class Workbench:
             held_out = NOTHING
             if self.evidence.held_out:
                 held_out = self.residual(model, values, self.evidence.held_out, refined)
-            if not np.isfinite(fitted.weighted):
+            if fitted.weighted >= _DIVERGED:
                 raise InputError("the best response found is not finite")
         except (InputError, ValueError, FloatingPointError, np.linalg.LinAlgError) as error:
             return Candidate(model, {}, (), NOTHING, NOTHING, failure=str(error))

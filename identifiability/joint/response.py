@@ -19,6 +19,7 @@ from identifiability.joint.effects.base import Motion
 from identifiability.joint.exponentials import matrix_exponential
 from identifiability.joint.integrator import integrate
 from identifiability.joint.model import Model
+from identifiability.joint.programs import make_room
 from identifiability.measurement.perturbations import Drive
 
 DriveArrays = tuple[ArrayLike, ArrayLike, ArrayLike, ArrayLike, ArrayLike]
@@ -64,6 +65,7 @@ def simulate(
         )
     if substeps is None and not model.linear:
         raise InputError(f"{model!r} has no exact response; give the number of substeps")
+    make_room()
     flat = theta.reshape(-1, n_parameters)
     if substeps is None:
         out = _exact_batch(model, flat, drive_arrays(drive))
