@@ -10,7 +10,7 @@ from identifiability.benchmark.cases import hidden_cases
 from identifiability.benchmark.run import score
 
 QUICK = hidden_cases("quick", 1)
-EVERY_TIME = ("controls", "coulomb_friction", "sensor_delay", "time_varying")
+EVERY_TIME = ("white", "ar1", "coulomb_friction", "sensor_delay", "time_varying_stiffness")
 
 
 @pytest.mark.parametrize(
@@ -19,7 +19,7 @@ EVERY_TIME = ("controls", "coulomb_friction", "sensor_delay", "time_varying")
         pytest.param(
             spec,
             id=spec.name,
-            marks=() if any(word in spec.name for word in EVERY_TIME) else pytest.mark.long,
+            marks=() if spec.name.rsplit("-", 1)[1] in EVERY_TIME else pytest.mark.long,
         )
         for spec in QUICK
     ],

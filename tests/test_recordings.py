@@ -1,6 +1,7 @@
 """Fits of recordings: known joints are found again, real ones give what they gave elsewhere."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -120,7 +121,9 @@ def test_ankle(shared_data, tmp_path):
 
 @pytest.mark.filterwarnings("ignore::UserWarning")
 def test_pendulum(shared_data, tmp_path):
-    path = str(shared_data / "real" / "dfki_pendulum_ddp.csv")
+    whole = (shared_data / "real" / "dfki_pendulum_ddp.csv").read_text().splitlines(True)
+    path = str(tmp_path / "swing.csv")
+    Path(path).write_text("".join([whole[0], *whole[1501:]]))
     columns = ["--columns", "time=time:s", "angle=position:rad", "torque=torque:Nm"]
     assert main(["fit", path, *columns, "--window", "0.5", "--out", str(tmp_path)]) == 0
     record = json.loads((tmp_path / "fit.json").read_text())

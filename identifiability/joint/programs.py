@@ -10,7 +10,7 @@ import jax
 _MAPS, _LIMIT = Path("/proc/self/maps"), Path("/proc/sys/vm/max_map_count")
 
 # Counting maps takes milliseconds; between two counts fewer are added than are left free.
-_EVERY, _SHARE = 16, 0.4
+_EVERY, _SHARE = 16, 0.6
 
 _calls = count()
 
