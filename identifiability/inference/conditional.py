@@ -27,7 +27,7 @@ from identifiability.inference.problem import (
 )
 
 _ITERATIONS, _MOST_ROUNDS = 6, 12
-_SIZES = (64, 512)
+_SIZES = (32, 64, 512)
 _FEW_EVALUATIONS = 5
 _CONVERGED = 1e-7  # predicted decrease of the cost, in units of log likelihood
 

@@ -7,6 +7,7 @@ samplers and quadrature see only parameter vectors, whitened residuals and log p
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property, partial
 from typing import NamedTuple
@@ -33,7 +34,9 @@ QUICK_COMPILATION = {
     "xla_backend_optimization_level": 1,
 }
 
-_SMALL_BATCH, _BATCHES = 64, (512, 4096)
+_SMALL_BATCH, _BATCHES = 32, (512, 4096)
+_THREADS = 2  # that compute batches side by side
+_DIFFERENCE = 1e-2  # step of differences, in slice widths
 _MOST_ELEMENTS = 2**21
 
 
@@ -283,6 +286,9 @@ class Problem:
     room : tuple of int
         Least number of observations and of samples that the data are padded to: problems of one
         shape share their compiled programs.
+    exact_hessian : bool
+        Whether second derivatives are automatic, or differences of the (automatic) first ones, for
+        models whose second derivatives take long to compile.
     """
 
     model: Model
@@ -292,6 +298,7 @@ class Problem:
     substeps: int | None = None
     order: int = 4
     room: tuple[int, int] = (0, 0)
+    exact_hessian: bool = True
     _last: tuple[np.ndarray, np.ndarray, np.ndarray] | None = field(
         default=None, init=False, repr=False
     )
@@ -392,7 +399,21 @@ class Problem:
 
     def hessian(self, x: np.ndarray) -> np.ndarray:
         """Second derivatives of the negative log likelihood, shape (n_free, n_free)."""
-        return np.asarray(_hessian(self.program, x, self.template, self.data))
+        if self.exact_hessian:
+            return np.asarray(_hessian(self.program, x, self.template, self.data))
+        x = np.asarray(x, float)
+        jacobian = self.jacobian(x)
+        steps = _DIFFERENCE / np.maximum(np.linalg.norm(jacobian, axis=0), 1e-12)
+
+        def gradient(at: np.ndarray) -> np.ndarray:
+            residuals, jacobian = self._linearise(at)
+            return jacobian.T @ residuals
+
+        rows = [
+            (gradient(x + step * unit) - gradient(x - step * unit)) / (2 * step)
+            for step, unit in zip(steps, np.eye(x.size), strict=True)
+        ]
+        return 0.5 * (np.array(rows) + np.array(rows).T)
 
     def log_likelihood(self, points: np.ndarray) -> np.ndarray:
         """Minus half the sum of squared whitened residuals, for a batch of points.
@@ -407,13 +428,18 @@ class Problem:
             Minus infinity where the response overflows.
         """
         points = np.asarray(points, float)
-        out = np.empty(len(points))
-        for first in range(0, len(points), self.batches[-1]):
+
+        def compute(first: int) -> np.ndarray:
             chunk = np.arange(first, min(first + self.batches[-1], len(points)))
             padded = points[pad(chunk, self.batches)]
             values = _log_likelihoods(self.program, padded, self.template, self.data)
-            out[chunk] = np.asarray(values)[: chunk.size]
-        return out
+            return np.asarray(values)[: chunk.size]
+
+        starts = range(0, len(points), self.batches[-1])
+        if len(starts) == 1:
+            return compute(0)
+        with ThreadPoolExecutor(_THREADS) as pool:
+            return np.concatenate([*pool.map(compute, starts), np.empty(0)])
 
     def log_posterior(self, points: np.ndarray) -> np.ndarray:
         """Log likelihood inside the prior's bounds, minus infinity outside; shape (n_points,)."""

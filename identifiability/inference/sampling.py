@@ -43,7 +43,7 @@ EFFICIENCY_LIMIT = 0.84
 _NEGLIGIBLE = 15.0
 _TRIALS = 8  # points of a proposal to judge it by, for each walker
 WALKERS, _STEPS, _BURN = 512, 25, 5
-_PILOT_WALKERS, _PILOT_STEPS, _FEW_STEPS = 128, 400, 100
+_PILOT_WALKERS, _PILOT_STEPS, _FEW_STEPS = 128, 400, 80
 _DE_WALKERS, _DE_STEPS = 64, 2000
 _HOPELESS = 0.05  # efficiency from which a short pilot run does not lead to a mixture that fits
 _FEWEST_STEPS = 200
@@ -307,7 +307,7 @@ def _pilot(
     sampler = _evolving_sampler(problem, _PILOT_WALKERS)
     first = _scatter(problem, start[:_PILOT_WALKERS], seed)
     sampler.run_mcmc(_state(first, seed), n_steps, skip_initial_state_check=True)
-    return sampler.get_chain(discard=n_steps // 2, thin=5, flat=True)
+    return sampler.get_chain(discard=n_steps // 2, thin=n_steps // _FEW_STEPS, flat=True)
 
 
 def _evolution(

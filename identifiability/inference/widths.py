@@ -10,7 +10,7 @@ import numpy as np
 
 from identifiability.files import plain
 from identifiability.inference.curvature import Curvature, curvature
-from identifiability.inference.fitting import Fit, fit
+from identifiability.inference.fitting import Fit, explore, fit
 from identifiability.inference.problem import Problem
 from identifiability.inference.profiles import POINTS, Profile, Side, profile
 from identifiability.inference.quadrature import Moments, quadrature
@@ -36,7 +36,7 @@ WIDTH_TOLERANCE = 0.10
 END_TOLERANCE = 0.25
 HEAVY_TAIL = 2.15
 _P68, _P95 = 0.6827, 0.95
-_FEW_POINTS, _FEW_WALKERS, _THREADS = 5, 64, 2
+_FEW_EVALUATIONS, _FEW_POINTS, _FEW_WALKERS, _THREADS = 60, 5, 64, 2
 
 
 @dataclass(frozen=True)
@@ -192,14 +192,15 @@ def widths(
     referee : bool
         Whether to integrate by quadrature too, for at most three parameters.
     quick : bool
-        Whether to do with a coarser profile, fewer draws, and no differential evolution: for
-        models whose response takes long. What then does not converge is said not to.
+        Whether to do with a fit of limited length, a coarser profile, fewer draws, and no
+        differential evolution: for models whose response takes long. What then does not
+        converge is said not to.
 
     Returns
     -------
     Widths
     """
-    best = fit(problem, starts)
+    best = explore(problem, starts, evaluations=_FEW_EVALUATIONS) if quick else fit(problem, starts)
     shape = curvature(problem, best.values)
     points, walkers = (_FEW_POINTS, _FEW_WALKERS) if quick else (POINTS, WALKERS)
 

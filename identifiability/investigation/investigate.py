@@ -184,6 +184,7 @@ class Investigation:
             substeps=problem.substeps,
             order=problem.order,
             room=problem.room,
+            exact_hessian=False,
         )
         start = candidate.model.vector(candidate.values)[list(problem.free)]
         return widths(sharper, starts=start[None], seed=seed, referee=False, quick=True)

@@ -76,6 +76,11 @@ def integrate(
     return model.record(theta, response, interval)
 
 
+def _times(matrix: Array, vector: Array) -> Array:
+    """Their product, as a sum that the compiler fuses: quicker for a batch of tiny matrices."""
+    return jnp.sum(matrix * vector, axis=-1)
+
+
 class _Scheme:
     """Steps of an exponential Runge-Kutta scheme about a fixed linear part."""
 
@@ -98,24 +103,24 @@ class _Scheme:
         linear, step = self.linear, self.step
 
         def rest(at: Array, place: int) -> Array:
-            return rates(at, place) - linear @ at
+            return rates(at, place) - _times(linear, at)
 
-        start = first - linear @ state
+        start = first - _times(linear, state)
         if self.order == 2:
-            guess = self.full.phi0 @ state + step * (self.full.phi1 @ start)
+            guess = _times(self.full.phi0, state) + step * _times(self.full.phi1, start)
             last = rates(guess, 2)
-            end = last - linear @ guess
-            arrived = guess + step * (self.full.phi2 @ (end - start))
-            return arrived, last + linear @ (arrived - guess)
-        a = self.half @ state + self.to_half @ start
+            end = last - _times(linear, guess)
+            arrived = guess + step * _times(self.full.phi2, end - start)
+            return arrived, last + _times(linear, arrived - guess)
+        a = _times(self.half, state) + _times(self.to_half, start)
         rest_a = rest(a, 1)
-        b = self.half @ state + self.to_half @ rest_a
+        b = _times(self.half, state) + _times(self.to_half, rest_a)
         rest_b = rest(b, 1)
-        c = self.half @ a + self.to_half @ (2 * rest_b - start)
+        c = _times(self.half, a) + _times(self.to_half, 2 * rest_b - start)
         rest_c = rest(c, 2)
         at_start, at_middle, at_end = self.weights
-        arrived = self.full.phi0 @ state + step * (
-            at_start @ start + at_middle @ (rest_a + rest_b) + at_end @ rest_c
+        arrived = _times(self.full.phi0, state) + step * (
+            _times(at_start, start) + _times(at_middle, rest_a + rest_b) + _times(at_end, rest_c)
         )
         return arrived, rates(arrived, 2)
 

@@ -250,8 +250,8 @@ def _balance(excess: Callable[[Array], Array], affine: bool) -> Array:
     two are differentiated, so that first and second derivatives are those of the root.
     """
     velocity = jnp.zeros(())
-    for step in range(1 if affine else 8):
-        if step == 6:
+    for step in range(1 if affine else 6):
+        if step == 4:
             velocity = jax.lax.stop_gradient(velocity)
         value, slope = jax.jvp(excess, (velocity,), (jnp.ones(()),))
         # Without damping the balance would be static: hence the tiny floor.
