@@ -51,7 +51,7 @@ GENERIC = {
     "nonlinear_tendon": {"asymmetry": 0.3},
     "sensor_delay": {"delay": 0.0033},
     "sensor_drift": {"bend": 0.1},
-    "sensor_lowpass": {"second_time_constant": 0.002},
+    "sensor_lowpass": {"shape": 0.3},
     "short_range_stiffness": {"renewal": 5.0},
     "stretch_reflex": {
         "asymmetry": 0.3,

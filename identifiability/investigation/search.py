@@ -390,7 +390,8 @@ class Searcher:
         worth = [
             r
             for r in ranking
-            if r.evidence >= max(0.0, _WITHIN_REACH * top)
+            # A linear model costs little.
+            if r.evidence >= (0.0 if r.candidate.model.linear else max(0.0, _WITHIN_REACH * top))
             and _refinable(r.candidate, r.key)
             # Beside other effects only what is admitted in its plain form: refining takes long.
             and (r.passes or not current.keys)
@@ -477,17 +478,22 @@ class Searcher:
         return current
 
     def _simplify(self, current: Candidate, baseline: Candidate) -> Candidate:
-        """Put the plain effect in the place of one that refines it, where that does as well."""
+        """Take the plainer effect, or the first of those of one form, where it does as well."""
+        order = list(self.library)
         for key in [k for k in current.keys if k not in baseline.keys and k in self.library]:
-            for plain in self.library[key].refines:
-                if plain not in self.library or plain in current.keys:
+            effect = self.library[key]
+            for other in (*effect.refines, *effect.equivalent):
+                if other not in order or other in current.keys:
                     continue
-                model = current.model.without(key) + self.library[plain]()
-                simpler = self.fit(model, current, refined=current.refined)
-                if simpler.failure or len(simpler.free) >= len(current.free):
+                if other in effect.equivalent and order.index(other) > order.index(key):
                     continue
-                if total_evidence(current, simpler, current) < DECISIVE:
-                    current = simpler
+                model = current.model.without(key) + self.library[other]()
+                found = self.fit(model, current, refined=current.refined)
+                plainer = len(found.free) < len(current.free) or other in effect.equivalent
+                if found.failure or not plainer:
+                    continue
+                if total_evidence(current, found, current) < DECISIVE:
+                    current = found
                     break
         return current
 

@@ -19,7 +19,8 @@ EXPLAINED_SHARE = 0.8
 """Share of the held-out misfit beyond the noise that named effects must remove to be called the
 explanation: a convention. Equations are never exact, so the floor itself is not asked for."""
 NAMED_SHARE = 0.5
-"""The same where the noise is unknown, and with it the misfit beyond the noise."""
+"""The same where the noise is unknown, and with it the misfit beyond the noise; and the share from
+which an effect that does not explain all is named at all."""
 _ENOUGH_NOISE = 1.5  # times the quiet samples' noise, beyond which an explanation is not complete
 
 KINDS = (
@@ -31,6 +32,9 @@ KINDS = (
     "unrepeatable",
     "nothing_missing",
 )
+
+# Effects of the measurement that a library-free kind speaks for, where none of them fits.
+_SENSORS = {"drift": ("sensor_drift",), "sensor": ("sensor_delay", "sensor_lowpass")}
 
 
 @dataclass(frozen=True)
@@ -132,8 +136,15 @@ def _nothing_named(
         )
         return Verdict("nothing_missing", (), (), sentence, tuple(because), None, tuple(seen))
     because.append(rest.sentence)
+    kind = _unknown_kind(rest)
+    if kind == "measurement":
+        alike = _SENSORS[rest.best.kind]
+        known = _list([_plain(k) for k in alike])
+        because.append(f"Its form is not that of {known} as known here.")
+        sentence = f"It is the measurement, not the joint. {rest.sentence}"
+        return Verdict(kind, alike[:1], (alike,), sentence, tuple(because))
     sentence = f"Something is missing, and it is none of the effects known here. {rest.sentence}"
-    return Verdict(_unknown_kind(rest), (), (), sentence, tuple(because))
+    return Verdict(kind, (), (), sentence, tuple(because))
 
 
 def _partly(
@@ -153,6 +164,8 @@ def _partly(
     because.append(
         "Named effects that remove only a part may stand for something else: treat them as a clue."
     )
+    if share < NAMED_SHARE:
+        names, sets = (), ()
     return Verdict(_unknown_kind(rest), names, sets, sentence, tuple(because), share)
 
 
@@ -215,12 +228,26 @@ def _reasons(
 ) -> list[str]:
     out = []
     for chosen, members in zip(search.alternatives, sets, strict=True):
-        rivals = [r for r in search.alternatives[chosen] if r.key not in members]
-        if rivals and np.isfinite(rivals[0].evidence):
-            best = max(rivals, key=lambda r: r.evidence)
+        rivals = [
+            r
+            for r in search.alternatives[chosen]
+            if r.key not in members and np.isfinite(r.evidence)
+        ]
+        rivals.sort(key=lambda r: -r.evidence)
+        if (
+            rivals
+            and rivals[0].evidence > -DECISIVE
+            and members[0] in library[rivals[0].key].refines
+        ):
+            richer = rivals.pop(0)
             out.append(
-                f"In the place of {_plain(members[0])} the next best is {_plain(best.key)}, worse "
-                f"by {-best.evidence:.0f} (more than {DECISIVE:.0f} is decisive)."
+                f"A {_plain(richer.key)}, a richer form of the {_plain(members[0])}, does no "
+                "better: the data do not ask for it."
+            )
+        if rivals:
+            out.append(
+                f"In the place of {_plain(members[0])} the next best is {_plain(rivals[0].key)}, "
+                f"worse by {-rivals[0].evidence:.0f} (more than {DECISIVE:.0f} is decisive)."
             )
         alike = [k for k in members[1:] if k in library[members[0]].equivalent]
         if alike:
