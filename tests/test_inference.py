@@ -5,6 +5,7 @@ model K_CE = 32, B_CE = 3.2, K_SE = 100, I = 0.1 at 1 kHz, noise in the contour 
 dE = 0.001, prior uniform over the physical bounds.
 """
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -24,7 +25,7 @@ from oracles import (
 from identifiability.errors import InputError
 from identifiability.inference.conditional import conditional_optima
 from identifiability.inference.curvature import curvature, largest_change
-from identifiability.inference.fitting import fit, fit_simplex, starting_points
+from identifiability.inference.fitting import explore, fit, fit_simplex, starting_points
 from identifiability.inference.problem import Prior, Problem, observe
 from identifiability.inference.profiles import DROPS, profile
 from identifiability.inference.quadrature import quadrature
@@ -244,6 +245,28 @@ def test_hessian_is_that_of_differences(ms):
         rtol=1e-4,
     )
     np.testing.assert_allclose(found.slice_sd, np.diag(found.hessian) ** -0.5)
+
+
+@pytest.mark.parametrize("ms", WINDOWS)
+def test_hessian_by_differences_of_exact_gradients(ms):
+    exact, x = problem(ms), optimum(ms).values
+    quick = replace(exact, exact_hessian=False)
+    unit = np.sqrt(np.diag(exact.hessian(x)))
+    agree(quick.hessian(x) / np.outer(unit, unit), exact.hessian(x) / np.outer(unit, unit), 1e-6)
+
+
+def test_a_quick_fit_ends_where_the_thorough_one_does():
+    found = explore(problem(50), optimum(50).values[None] * 1.3, evaluations=60)
+    np.testing.assert_allclose(found.values, optimum(50).values, rtol=1e-3)
+
+
+def test_a_quick_fit_ends_on_the_bound_that_it_is_pushed_to():
+    exact = problem(50)
+    floor = 1.5 * optimum(50).values[1]
+    bounded = replace(exact, prior=Prior.physical(KBI(), B=(floor, 50.0)))
+    found = explore(bounded, np.array([[50.0, 2.0, 0.1]]), evaluations=60)
+    assert found.values[1] == floor
+    assert found.at_bound == ("B",)
 
 
 def test_gauss_newton_lacks_the_curvature_of_the_model():

@@ -36,7 +36,7 @@ QUICK_COMPILATION = {
 
 _SMALL_BATCH, _BATCHES = 32, (512, 4096)
 _THREADS = 2  # that compute batches side by side
-_DIFFERENCE = 1e-2  # step of differences, in slice widths
+_DIFFERENCE = 1e-3  # step of differences, in slice widths
 _MOST_ELEMENTS = 2**21
 
 
