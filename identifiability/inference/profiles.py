@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 
 from identifiability.inference.conditional import conditional_optima, one_by_one
-from identifiability.inference.curvature import curvature
+from identifiability.inference.curvature import Curvature, curvature
 from identifiability.inference.problem import Problem
 
 # Drops of the log likelihood at the ends of one parameter's 68.27 and 95 % intervals (chi²).
@@ -60,7 +60,14 @@ class Profile:
         return 0.5 * (high - low)
 
 
-def profile(problem: Problem, optimum: np.ndarray, name: str, *, points: int = POINTS) -> Profile:
+def profile(
+    problem: Problem,
+    optimum: np.ndarray,
+    name: str,
+    *,
+    points: int = POINTS,
+    shape: Curvature | None = None,
+) -> Profile:
     """Profile of one free parameter around the optimum.
 
     Parameters
@@ -70,6 +77,8 @@ def profile(problem: Problem, optimum: np.ndarray, name: str, *, points: int = P
     name : str
     points : int
         Number on each side. With fewer than 24 the ends of intervals are interpolated only.
+    shape : Curvature, optional
+        At the optimum, where it is known already.
 
     Returns
     -------
@@ -78,6 +87,8 @@ def profile(problem: Problem, optimum: np.ndarray, name: str, *, points: int = P
     index = problem.names.index(name)
     optimum = np.asarray(optimum, float)
     top = float(problem.log_likelihood(optimum[None])[0])
+    if shape is None:
+        shape = curvature(problem, optimum)
     paths, drops = [optimum[None]], [np.zeros(1)]
     ends: dict[str, list[tuple[float, Side]]] = {level: [] for level in DROPS}
     for direction in (-1, 1):
@@ -85,6 +96,7 @@ def profile(problem: Problem, optimum: np.ndarray, name: str, *, points: int = P
             problem,
             optimum,
             top,
+            shape,
             index,
             direction,
             _REACH if points >= POINTS else _SHORT_REACH,
@@ -128,9 +140,10 @@ def profile(problem: Problem, optimum: np.ndarray, name: str, *, points: int = P
 def reach(problem: Problem, optimum: np.ndarray, index: int, drop: float) -> tuple[float, float]:
     """Range of a parameter outside of which its profile lies more than `drop` below the optimum."""
     top = float(problem.log_likelihood(np.asarray(optimum, float)[None])[0])
+    shape = curvature(problem, optimum)
     limits = []
     for direction in (-1, 1):
-        path, drops = _follow(problem, optimum, top, index, direction, drop)
+        path, drops = _follow(problem, optimum, top, shape, index, direction, drop)
         beyond = np.flatnonzero(drops > drop)
         limits.append(path[beyond[0] if beyond.size else -1, index])
     return float(limits[0]), float(limits[1])
@@ -140,6 +153,7 @@ def _follow(
     problem: Problem,
     optimum: np.ndarray,
     top: float,
+    shape: Curvature,
     index: int,
     direction: int,
     drop: float = _REACH,
@@ -147,7 +161,6 @@ def _follow(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Profile on one side, outwards, until it has fallen by `drop` or meets the bound."""
     bound = (problem.lower if direction < 0 else problem.upper)[index]
-    shape = curvature(problem, optimum)
     information = shape.gauss_newton
     rest = [i for i in range(len(optimum)) if i != index]
     # Slope of the ridge, from the quadratic approximation.

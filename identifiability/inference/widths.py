@@ -206,7 +206,7 @@ def widths(
 
     def follow(name: str) -> Profile:
         # A problem remembers its last point, so each thread has one of its own.
-        return profile(replace(problem), best.values, name, points=points)
+        return profile(replace(problem), best.values, name, points=points, shape=shape)
 
     with ThreadPoolExecutor(_THREADS if quick else 1) as pool:
         profiles = tuple(pool.map(follow, problem.names))

@@ -9,7 +9,7 @@ from typing import TypeVar
 import numpy as np
 
 from identifiability.errors import InputError
-from identifiability.inference.problem import Prior, Problem
+from identifiability.inference.problem import Prior
 from identifiability.inference.recordings import (
     LOWPASS_HZ,
     first_guess,
@@ -176,16 +176,7 @@ class Investigation:
             replace(o, scale=o.scale * sharpened[i])
             for o, i in zip(problem.observations, owners(problem.observations), strict=True)
         ]
-        sharper = Problem(
-            problem.model,
-            observations,
-            problem.prior,
-            fixed=problem.fixed,
-            substeps=problem.substeps,
-            order=problem.order,
-            room=problem.room,
-            exact_hessian=False,
-        )
+        sharper = replace(problem, observations=observations, exact_hessian=False)
         start = candidate.model.vector(candidate.values)[list(problem.free)]
         return widths(sharper, starts=start[None], seed=seed, referee=False, quick=True)
 

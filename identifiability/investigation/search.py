@@ -153,8 +153,6 @@ def predictive_evidence(larger: Candidate, smaller: Candidate) -> float:
     """
     if not larger.held_out.by_trial or not smaller.held_out.by_trial:
         return 0.0
-    if not np.isfinite(larger.held_out.weighted):
-        return -np.inf
     best = min(larger.held_out, smaller.held_out, key=lambda part: part.weighted)
     samples = effective_samples(best, difference(smaller.held_out, larger.held_out))
     return float(samples * np.log(smaller.held_out.weighted / larger.held_out.weighted))
