@@ -7,7 +7,6 @@ bounds, compiled once. Tests compare it with SciPy.
 
 from __future__ import annotations
 
-from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -17,14 +16,8 @@ import scipy.optimize
 from jax import Array
 
 from identifiability.inference.fitting import inside
-from identifiability.inference.problem import (
-    QUICK_COMPILATION,
-    Data,
-    Problem,
-    Program,
-    pad,
-    whitened,
-)
+from identifiability.inference.problem import Data, Problem, Program, pad, whitened
+from identifiability.joint.programs import quickly_compiled
 
 _ITERATIONS, _MOST_ROUNDS = 6, 12
 _SIZES = (32, 64, 512)
@@ -150,7 +143,7 @@ def one_by_one(problem: Problem, held: tuple[int, ...], points: np.ndarray) -> C
     return found
 
 
-@partial(jax.jit, static_argnums=0, compiler_options=QUICK_COMPILATION)
+@quickly_compiled
 def _solve(
     program: Program,
     moves: Array,

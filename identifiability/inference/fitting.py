@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,6 +10,8 @@ import scipy.optimize
 
 from identifiability.errors import InputError
 from identifiability.inference.problem import Problem
+
+_THREADS = 2  # that descend from different starts side by side
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,8 +144,8 @@ def explore(problem: Problem, starts: np.ndarray, *, evaluations: int) -> Fit:
         Where no start leads to a finite response.
     """
     starts = inside(problem, np.atleast_2d(starts))
-    costs, reached, failure = np.full(len(starts), np.inf), starts.copy(), ""
-    for i, start in enumerate(starts):
+
+    def descend(start: np.ndarray) -> tuple[float, np.ndarray, str]:
         try:
             result = scipy.optimize.least_squares(
                 problem.residuals,
@@ -156,11 +159,16 @@ def explore(problem: Problem, starts: np.ndarray, *, evaluations: int) -> Fit:
                 max_nfev=evaluations,
             )
         except (ValueError, np.linalg.LinAlgError) as error:
-            failure = str(error)
-            continue
-        costs[i], reached[i] = result.cost, result.x
+            return np.inf, start, str(error)
+        return float(result.cost), result.x, ""
+
+    problem.residuals(starts[0])  # compiled once, before the threads ask for it
+    with ThreadPoolExecutor(_THREADS) as pool:
+        ends = list(pool.map(descend, starts))
+    costs, reached = np.array([e[0] for e in ends]), np.array([e[1] for e in ends])
     best = int(np.argmin(costs))
     if not np.isfinite(costs[best]):
+        failure = next(e[2] for e in reversed(ends) if e[2])
         raise InputError(f"no start gave a finite response ({failure}); check data and bounds")
     values = _onto_bounds(problem, reached[best])
     return _finish(problem, values, float(costs[best]), costs, reached, "least squares")

@@ -9,7 +9,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
-from functools import cached_property, partial
+from functools import cached_property
+from threading import local
 from typing import NamedTuple
 
 import jax
@@ -21,19 +22,13 @@ from jax.typing import ArrayLike
 from identifiability.errors import InputError
 from identifiability.joint.integrator import integrate
 from identifiability.joint.model import Model
-from identifiability.joint.programs import make_room
+from identifiability.joint.programs import make_room, quickly_compiled
 from identifiability.joint.response import exact_response
 from identifiability.measurement.noise import Noise
 from identifiability.measurement.perturbations import Drive
 
 # Batches are padded to one of a few sizes, so that a few compilations serve any number of points.
 # A batch of long records is kept small: what does not fit the processor's cache is slower.
-# Costly passes of the compiler save next to nothing here, and take a third of its time.
-QUICK_COMPILATION = {
-    "xla_llvm_disable_expensive_passes": True,
-    "xla_backend_optimization_level": 1,
-}
-
 _SMALL_BATCH, _BATCHES = 32, (512, 4096)
 _THREADS = 2  # that compute batches side by side
 _DIFFERENCE = 1e-3  # step of differences, in slice widths
@@ -299,9 +294,7 @@ class Problem:
     order: int = 4
     room: tuple[int, int] = (0, 0)
     exact_hessian: bool = True
-    _last: tuple[np.ndarray, np.ndarray, np.ndarray] | None = field(
-        default=None, init=False, repr=False
-    )
+    _last: local = field(default_factory=local, init=False, repr=False)
 
     def __post_init__(self) -> None:
         unknown = set(self.fixed) - set(self.model.parameter_names)
@@ -390,12 +383,12 @@ class Problem:
 
     def _linearise(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         # Optimisers ask for both at the same point, one after the other: compute them together.
-        x = np.asarray(x, float)
-        if self._last is None or not np.array_equal(self._last[0], x):
+        x, last = np.asarray(x, float), self._last
+        if not hasattr(last, "x") or not np.array_equal(last.x, x):
             both = _linearised(self.program, x, self.template, self.data)
-            object.__setattr__(self, "_last", (x.copy(), np.asarray(both[0]), np.asarray(both[1])))
-        assert self._last is not None
-        return self._last[1], self._last[2]
+            last.x, last.both = x.copy(), (np.asarray(both[0]), np.asarray(both[1]))
+        found: tuple[np.ndarray, np.ndarray] = last.both
+        return found
 
     def hessian(self, x: np.ndarray) -> np.ndarray:
         """Second derivatives of the negative log likelihood, shape (n_free, n_free)."""
@@ -484,10 +477,10 @@ def _negative_log_likelihood(program: Program, x: Array, template: Array, data: 
     return 0.5 * white @ white
 
 
-_responses = jax.jit(_stacked_responses, static_argnums=0, compiler_options=QUICK_COMPILATION)
+_responses = quickly_compiled(_stacked_responses)
 
 
-@partial(jax.jit, static_argnums=0, compiler_options=QUICK_COMPILATION)
+@quickly_compiled
 def _linearised(program: Program, x: Array, template: Array, data: Data) -> tuple[Array, Array]:
     def twice(point: Array) -> tuple[Array, Array]:
         white = whitened(program, point, template, data)
@@ -502,7 +495,7 @@ _hessian = jax.jit(
 )
 
 
-@partial(jax.jit, static_argnums=0, compiler_options=QUICK_COMPILATION)
+@quickly_compiled
 def _log_likelihoods(program: Program, points: Array, template: Array, data: Data) -> Array:
     values = jax.vmap(lambda x: -_negative_log_likelihood(program, x, template, data))(points)
     return jnp.where(jnp.isnan(values), -jnp.inf, values)

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from identifiability.errors import InputError
 from identifiability.inference.problem import Prior
@@ -255,31 +257,39 @@ def investigate(
             warnings.append(f"{what}: {error}")
             return None
 
-    progress("fitting the baseline", 0, 1)
-    first = study.fit(KBI() if model is None else model)
-    progress("comparing", 0, 1)
-    comparison = attempt("comparison", lambda: study.compare(first))
-    location = attempt("location", lambda: study.locate(first))
-    before = attempt("unexplained torque", lambda: study.unexplained(first, seed=seed))
-    search = study.search(first, most=most)
-    progress("what is left", 0, 1)
-    after = before if search.final is first else None
-    if after is None:
-        after = study.unexplained(search.final, seed=seed)
-    seen: tuple[Detectable, ...] = ()
-    if not search.final.keys or search.final is first:
-        progress("the smallest effects that would have been seen", 0, 1)
-        seen = attempt("power", lambda: study.smallest_seen(search.final)) or ()
-    verdict = judge(study.evidence, search, after, seen, study.library)
-    progress("the next experiment", 0, 1)
-    following = attempt(
-        "next experiment",
-        lambda: study.next_experiment(search, verdict, limits=limits, seed=seed),
-    )
-    found = None
-    if with_widths:
-        progress("widths of the parameters", 0, 1)
-        found = attempt("widths", lambda: study.widths(search.final, seed=seed))
+    # What needs much Python runs beside the compiler and its programs. One thread for the linear
+    # algebra of small matrices: then the order of its sums does not depend on what runs beside.
+    with threadpool_limits(1), ThreadPoolExecutor(1) as aside:
+        progress("fitting the baseline", 0, 1)
+        first = study.fit(KBI() if model is None else model)
+        progress("comparing", 0, 1)
+        comparison = attempt("comparison", lambda: study.compare(first))
+        location = attempt("location", lambda: study.locate(first))
+        unexplained_before = aside.submit(
+            attempt, "unexplained torque", lambda: study.unexplained(first, seed=seed)
+        )
+        search = study.search(first, most=most)
+        final = search.final
+        found_widths = None
+        if with_widths:
+            progress("widths of the parameters", 0, 1)
+            found_widths = aside.submit(attempt, "widths", lambda: study.widths(final, seed=seed))
+        progress("what is left", 0, 1)
+        before = unexplained_before.result()
+        after = before if final is first else None
+        if after is None:
+            after = study.unexplained(final, seed=seed)
+        seen: tuple[Detectable, ...] = ()
+        if not final.keys or final is first:
+            progress("the smallest effects that would have been seen", 0, 1)
+            seen = attempt("power", lambda: study.smallest_seen(final)) or ()
+        verdict = judge(study.evidence, search, after, seen, study.library)
+        progress("the next experiment", 0, 1)
+        following = attempt(
+            "next experiment",
+            lambda: study.next_experiment(search, verdict, limits=limits, seed=seed),
+        )
+        found = None if found_widths is None else found_widths.result()
     return Findings(
         study.evidence,
         search,
@@ -290,6 +300,6 @@ def investigate(
         found,
         verdict,
         following,
-        tuple(warnings),
+        tuple(sorted(warnings)),
         seed,
     )

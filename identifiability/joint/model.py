@@ -22,6 +22,11 @@ KBI_PARAMETERS = (
     Parameter("I", "I", "kg m²", 0.1, 0.005, 1.0, "inertia"),
 )
 
+_NEWTON_STEPS = 6
+
+_Given = Sequence[tuple[Sequence[Array], Array, Motion]]
+"""Parameters, own states and delayed motion of each effect."""
+
 
 class Reaction(NamedTuple):
     """Torque [Nm] that resists a motion, and the rates of the model's internal states."""
@@ -169,26 +174,25 @@ class Model:
         Reaction
         """
         theta = jnp.asarray(theta)
-        stiffness, damping = theta[0], theta[1]
         per_effect = self._effect_parameters(theta)
         states, first = [], int(self._has_tendon)
         for effect in self.effects:
             states.append(internal[first : first + effect.n_states])
             first += effect.n_states
 
-        def torque_of(place: str, seen: Motion) -> Array:
+        given = list(zip(per_effect, states, delayed, strict=True))
+
+        def torque_of(place: str, seen: Motion, given: _Given = given) -> Array:
             parts = (
                 effect.torque(p, seen, own, past)
-                for effect, p, own, past in zip(
-                    self.effects, per_effect, states, delayed, strict=True
-                )
+                for effect, (p, own, past) in zip(self.effects, given, strict=True)
                 if effect.place == place
             )
             return sum((jnp.asarray(part) for part in parts), start=jnp.zeros(()))
 
-        def muscle(seen: Motion) -> Array:
+        def muscle(seen: Motion, theta: Array = theta, given: _Given = given) -> Array:
             angle, velocity = jnp.asarray(seen.angle), jnp.asarray(seen.velocity)
-            return stiffness * angle + damping * velocity + torque_of("muscle", seen)
+            return theta[0] * angle + theta[1] * velocity + torque_of("muscle", seen, given)
 
         rates: list[Array] = []
         contractile = motion
@@ -197,7 +201,13 @@ class Model:
             angle = internal[0]
             tension = torque_of("series", Motion(motion.angle - angle, 0.0))
             affine = all(e.affine_in_velocity for e in self.effects if e.place == "muscle")
-            velocity = _balance(lambda v: muscle(Motion(angle, v)) - tension, affine)
+            held = jax.lax.stop_gradient((theta, given, angle, tension))
+
+            def excess(v: Array, fixed: bool = False) -> Array:
+                at, known, where, load = held if fixed else (theta, given, angle, tension)
+                return muscle(Motion(where, v), at, known) - load
+
+            velocity = _balance(excess, affine)
             contractile = Motion(angle, velocity)
             rates.append(jnp.reshape(velocity, (1,)))
             torque = tension
@@ -243,19 +253,22 @@ class Model:
         return parts
 
 
-def _balance(excess: Callable[[Array], Array], affine: bool) -> Array:
+def _balance(excess: Callable[..., Array], affine: bool) -> Array:
     """Velocity at which an increasing function of it is zero.
 
     Newton steps from rest, which approach the root of a saturating damping from one side. The last
-    two are differentiated, so that first and second derivatives are those of the root.
+    two are differentiated, so that first and second derivatives are those of the root; the others
+    take a function whose parameters are fixed, for which there is less to trace and compile.
     """
-    velocity = jnp.zeros(())
-    for step in range(1 if affine else 6):
-        if step == 4:
-            velocity = jax.lax.stop_gradient(velocity)
-        value, slope = jax.jvp(excess, (velocity,), (jnp.ones(()),))
+
+    def closer(velocity: Array, fixed: bool) -> Array:
+        value, slope = jax.jvp(lambda v: excess(v, fixed), (velocity,), (jnp.ones(()),))
         # Without damping the balance would be static: hence the tiny floor.
-        velocity = velocity - value / jnp.where(jnp.abs(slope) < 1e-9, 1e-9, slope)
+        return velocity - value / jnp.where(jnp.abs(slope) < 1e-9, 1e-9, slope)
+
+    velocity = jnp.zeros(())
+    for step in range(1 if affine else _NEWTON_STEPS):
+        velocity = closer(velocity, not affine and step < _NEWTON_STEPS - 2)
     return velocity
 
 

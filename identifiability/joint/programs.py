@@ -1,11 +1,26 @@
-"""Compiled programs, and the memory maps that they hold."""
+"""Compiled programs: how they are compiled, and the memory maps that they hold."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import cache, wraps
 from itertools import count
 from pathlib import Path
+from typing import Any
 
 import jax
+import jax.numpy as jnp
+
+# A search for effects compiles a hundred programs, and calls each some dozens of times. Costly
+# passes save next to nothing here and take a third of the compiler's time; the newer emitters of
+# fused loops take as long again; and handing the sums of a time step to a library of threaded
+# kernels makes the step slower.
+_QUICK: dict[str, bool | int | str] = {
+    "xla_llvm_disable_expensive_passes": True,
+    "xla_backend_optimization_level": 1,
+    "xla_cpu_use_fusion_emitters": False,
+    "xla_cpu_experimental_ynn_fusion_type": "",
+}
 
 _MAPS, _LIMIT = Path("/proc/self/maps"), Path("/proc/sys/vm/max_map_count")
 
@@ -13,6 +28,33 @@ _MAPS, _LIMIT = Path("/proc/self/maps"), Path("/proc/sys/vm/max_map_count")
 _EVERY, _SHARE = 16, 0.6
 
 _calls = count()
+
+
+def quickly_compiled(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Compile a function, whose first argument is static, with little optimisation."""
+
+    @cache
+    def compiled() -> Callable[..., Any]:
+        return jax.jit(function, static_argnums=0, compiler_options=_understood())
+
+    @wraps(function)
+    def call(*arguments: Any) -> Any:
+        return compiled()(*arguments)
+
+    return call
+
+
+@cache
+def _understood() -> dict[str, bool | int | str]:
+    """Those of the quick options that this version of the compiler knows."""
+    kept = {}
+    for name, value in _QUICK.items():
+        try:
+            jax.jit(lambda x: x, compiler_options={name: value})(jnp.zeros(())).block_until_ready()
+        except RuntimeError:
+            continue
+        kept[name] = value
+    return kept
 
 
 def make_room() -> None:
