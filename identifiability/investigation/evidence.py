@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+import scipy.stats
 
 from identifiability.errors import InputError
 from identifiability.inference.problem import Observation, observe
@@ -21,11 +22,13 @@ from identifiability.measurement.trials import Trial, onsets, quiet_lead
 
 _SAMPLES_PER_CYCLE = 5.0
 _LEAD_SAMPLES = 20  # a shorter lead says too little about the noise
+_CHANCE = 1e-6  # that still noise looks like an answer to the torque, per trial
 _LONGEST, _WARM_UP = 4096, 1.0  # samples of a piece; seconds in which a piece forgets its start
 _ROUND = 64  # lengths are padded to a multiple, so that compiled programs serve many data sets
 DISCREPANCY = 1e-3
 """Share of a trial's mean square that is added to its noise variance in the weights: the paper's
-dE. It keeps a nearly noiseless trial from deciding alone against models that are never exact."""
+dE. It keeps a nearly noiseless trial from deciding alone against models that are never exact. Where
+the noise is not known it stands for it: no effect is added to a model that leaves less."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,7 +234,10 @@ def _ready(trials: Sequence[Trial], lowpass_hz: float | None) -> list[Ready]:
     if trials[0].driven == "angle":
         return [_angle_driven(trial, lowpass_hz) for trial in trials]
     leads = [quiet_lead(trial) for trial in trials]
-    usable = [n if n >= _LEAD_SAMPLES else 0 for n in leads]
+    usable = [
+        n if n >= _LEAD_SAMPLES and not _moves_along(t.torque[:n], t.angle[:n]) else 0
+        for t, n in zip(trials, leads, strict=True)
+    ]
     quiet = [t.angle[:n] for t, n in zip(trials, usable, strict=True) if n]
     time = float(np.mean([integrated_autocorrelation(q) for q in quiet])) if quiet else 1.0
     out = []
@@ -263,6 +269,26 @@ def _ready(trials: Sequence[Trial], lowpass_hz: float | None) -> list[Ready]:
         lead = Lead(n, sd, max(1.0, time))
         out.append(Ready(trial, 0, trial.n_samples, drive, trial.angle, lead, False))
     return out
+
+
+def _moves_along(torque: np.ndarray, angle: np.ndarray) -> bool:
+    """Whether the angle answers the torque, so that its scatter is motion and not noise.
+
+    A second-order autoregression of the angle is compared with one that sees the torque too, as a
+    joint of K, B and I would: the torque must halve its error, in a way that chance does not.
+    """
+    rows = np.lib.stride_tricks.sliding_window_view
+    past = np.column_stack([np.ones(angle.size - 2), rows(angle - angle.mean(), 3)[:, :2]])
+    seen = np.column_stack([past, rows(torque - torque.mean(), 3)])
+    left = [
+        float(np.sum((angle[2:] - x @ np.linalg.lstsq(x, angle[2:], rcond=None)[0]) ** 2))
+        for x in (past, seen)
+    ]
+    free, extra = len(seen) - seen.shape[1], seen.shape[1] - past.shape[1]
+    if not 0 < 2 * left[1] < left[0]:
+        return False
+    ratio = (left[0] - left[1]) / extra / (left[1] / free)
+    return bool(scipy.stats.f.sf(ratio, extra, free) < _CHANCE)
 
 
 def _angle_driven(trial: Trial, lowpass_hz: float | None) -> Ready:

@@ -23,6 +23,7 @@ from identifiability.investigation.candidates import (
     effective_samples,
     starting_values,
 )
+from identifiability.investigation.evidence import DISCREPANCY
 from identifiability.joint.effects import EFFECTS, Effect
 from identifiability.joint.model import KBI, Model
 
@@ -200,7 +201,7 @@ class Searcher:
             current = next(r.candidate for r in step.ranking if r.key == step.chosen)
             current = self._improve(current, baseline, step)
             if self.at_floor(current):
-                ended = "the error reached the noise floor"
+                ended = self._reached
                 break
         current = self._simplify(self._prune(current, baseline), baseline)
         ladder = self._ladder(current, baseline)
@@ -208,12 +209,20 @@ class Searcher:
         return Search(baseline, tuple(steps), current, ladder, alternatives, len(self.known), ended)
 
     def at_floor(self, candidate: Candidate) -> bool:
-        """Whether a model leaves no more than the noise does, by level and by correlation."""
+        """Whether a model leaves no more than the noise does, or an error of measurement may."""
         floor = self.bench.evidence.noise_floor()
         if floor is None:
-            return False
+            return candidate.fitted.error <= DISCREPANCY
         slack = 2 * self.bench.evidence.floor_uncertainty()
         return candidate.fitted.error <= floor * (1 + min(slack, 0.3))
+
+    @property
+    def _reached(self) -> str:
+        if self.bench.evidence.has_noise:
+            return "the error reached the noise floor"
+        return (
+            f"the noise is not known, and an error below {DISCREPANCY:g} may be one of measurement"
+        )
 
     def rank(self, current: Candidate) -> Step:
         """Add every effect of the library to a model, refit, and rank."""
@@ -222,8 +231,15 @@ class Searcher:
         jobs = [(current.model + self.library[key](), key) for key in kept]
         fitted = self._fit_all(f"adding to {_named(current)}", jobs, current)
         ranking = self._refine(self._ranked(fitted, current), current)
-        chosen = next((r.key for r in ranking if r.passes), "")
+        chosen = self._choose([r for r in ranking if r.passes])
         return Step(current, tuple(ranking), chosen, tuple(k for k in keys if k not in kept))
+
+    def _choose(self, admitted: Sequence[Ranked]) -> str:
+        """Effect to add: the best, or the plainest where the noise is unknown and many do."""
+        if not self.bench.evidence.has_noise:
+            enough = [r for r in admitted if self.at_floor(r.candidate)]
+            admitted = sorted(enough, key=lambda r: len(r.candidate.free)) or admitted
+        return admitted[0].key if admitted else ""
 
     def _screen(self, keys: Sequence[str], current: Candidate) -> list[str]:
         """Effects worth a refit: all at the first step, later those whose signature is there.

@@ -21,6 +21,7 @@ explanation: a convention. Equations are never exact, so the floor itself is not
 NAMED_SHARE = 0.5
 """The same where the noise is unknown, and with it the misfit beyond the noise; and the share from
 which an effect that does not explain all is named at all."""
+_TRACE = 0.01  # share of what is left, below which an account of it explains nothing
 _ENOUGH_NOISE = 1.5  # times the quiet samples' noise, beyond which an explanation is not complete
 
 KINDS = (
@@ -103,7 +104,11 @@ def judge(
     if not quiet and share is not None and share < enough:
         return _partly(rest, names, sets, share, because, library)
     if not quiet:
-        because.append(f"The equations are not exact: {rest.sentence}")
+        because.append(
+            f"The equations are not exact: {rest.sentence}"
+            if rest.share > _TRACE
+            else "The equations are not exact, and what they leave is of no form that is known here."
+        )
     if measured:
         words = _list([library[k].title for k in names])
         sentence = f"It is the measurement, not the joint: {words}."
@@ -248,6 +253,14 @@ def _reasons(
             out.append(
                 f"In the place of {_plain(members[0])} the next best is {_plain(rivals[0].key)}, "
                 f"worse by {-rivals[0].evidence:.0f} (more than {DECISIVE:.0f} is decisive)."
+            )
+        better = [
+            r for r in search.alternatives[chosen] if r.key in members and r.evidence > DECISIVE
+        ]
+        if better:
+            out.append(
+                f"With more parameters, {_plain(better[0].key)} leaves less still, but what the "
+                f"{_plain(members[0])} leaves may be error of measurement."
             )
         alike = [k for k in members[1:] if k in library[members[0]].equivalent]
         if alike:
