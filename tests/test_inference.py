@@ -260,6 +260,14 @@ def test_a_quick_fit_ends_where_the_thorough_one_does():
     np.testing.assert_allclose(found.values, optimum(50).values, rtol=1e-3)
 
 
+def test_starts_that_descend_side_by_side_end_where_they_end_alone():
+    starts = optimum(50).values * np.array([[1.3], [0.5], [3.0], [0.8]])
+    together = explore(problem(50), starts, evaluations=12)
+    alone = [explore(problem(50), start[None], evaluations=12) for start in starts]
+    np.testing.assert_array_equal(together.costs, [fit.costs[0] for fit in alone])
+    np.testing.assert_array_equal(together.reached, [fit.reached[0] for fit in alone])
+
+
 def test_a_quick_fit_ends_on_the_bound_that_it_is_pushed_to():
     exact = problem(50)
     floor = 1.5 * optimum(50).values[1]

@@ -10,10 +10,16 @@ from identifiability.benchmark.cases import hidden_cases
 from identifiability.benchmark.score import matched, outcome_of, wilson
 from identifiability.cli.main import main
 from identifiability.errors import InputError
-from identifiability.investigation.candidates import Workbench, owners, starting_values
+from identifiability.investigation.candidates import (
+    Candidate,
+    Residual,
+    Workbench,
+    owners,
+    starting_values,
+)
 from identifiability.investigation.evidence import gather
 from identifiability.investigation.investigate import Investigation
-from identifiability.investigation.search import DECISIVE
+from identifiability.investigation.search import DECISIVE, Ranked, Searcher
 from identifiability.joint.effects import EFFECTS
 from identifiability.joint.effects.base import Effect
 from identifiability.joint.model import KBI
@@ -129,6 +135,35 @@ def test_pieces_of_a_long_record_leave_what_the_whole_leaves(monkeypatch):
     np.testing.assert_allclose(cut.by_trial[0], whole.by_trial[0], atol=2e-4 * np.ptp(angle))
 
 
+def record_that_grows(model, values, seed=1, noise=1e-3):
+    """One record without rest: a torque that switches at random, ever larger."""
+    t = np.arange(4000) / 1000
+    rng = np.random.default_rng(seed)
+    u = 8 * t / t[-1] * np.repeat(rng.choice([-1.0, 1.0], 200), 20)
+    substeps = None if model.linear else 2
+    angle = simulate(model, model.vector(values), SampledTorque(u).drive(t), substeps=substeps)
+    sd = noise * np.sqrt(np.mean(angle**2))
+    return Trial(t, u, angle + sd * rng.standard_normal(t.size), name="growing")
+
+
+@pytest.mark.parametrize("noise", [1e-5, 1e-3])
+def test_motion_before_the_onset_is_not_taken_for_noise(noise):
+    growing = record_that_grows(KBI(), JOINT, noise=noise)
+    assert gather([growing]).has_noise  # the control: by size alone its beginning seems at rest
+    assert not Investigation([growing]).evidence.has_noise
+
+
+def test_noise_of_both_sensors_at_rest_is_taken_for_noise():
+    rng = np.random.default_rng(5)
+    still = [
+        replace(t, torque=t.torque + 0.05 * rng.standard_normal(t.torque.size))
+        for t in trials(KBI(), JOINT)
+    ]
+    study = Investigation(still)
+    assert study.evidence.moves_early
+    assert study.evidence.has_noise
+
+
 # Candidates
 
 
@@ -189,6 +224,37 @@ def test_the_missing_effect_is_found_and_the_error_falls_to_the_floor():
     assert found.final.values["cubic_stiffness.coefficient"] == pytest.approx(120.0, rel=0.05)
     assert found.final.held_out.error < 1.3e-6
     assert found.baseline.held_out.error > 20e-6
+
+
+@pytest.mark.parametrize(
+    ("known", "plain_error", "chosen"),
+    [(False, 5e-4, "plain"), (False, 5e-3, "rich"), (True, 5e-4, "rich")],
+)
+def test_the_plainest_is_taken_only_where_all_may_be_error_of_measurement(
+    known, plain_error, chosen
+):
+    evidence = gather(trials(KBI(), JOINT))
+    searcher = Searcher(Workbench(evidence if known else evidence.without_leads()))
+
+    def admitted(key, error, n_free):
+        residual = Residual((), np.array([error]), 1.0)
+        found = Candidate(KBI(), {}, ("p",) * n_free, residual, residual)
+        return Ranked(key, found, 100.0, 1.0, True, "")
+
+    assert searcher.bench.evidence.has_noise is known
+    best_first = [admitted("rich", 4e-4, 5), admitted("plain", plain_error, 4)]
+    assert searcher._choose(best_first) == chosen
+    assert searcher._choose([]) == ""
+
+
+def test_no_search_below_an_error_of_measurement():
+    model = KBI() + EFFECTS["cubic_stiffness"]()
+    values = JOINT | {"cubic_stiffness.coefficient": 120.0}
+    study = Investigation([record_that_grows(model, values)], library=SMALL)
+    found = study.search(study.fit(KBI()))
+    assert found.final.keys == ("cubic_stiffness",)
+    assert len(found.steps) == 1
+    assert "may be one of measurement" in found.ended
 
 
 def test_a_users_own_effect_competes_with_the_others():

@@ -77,7 +77,7 @@ def score(tier: str, spec: CaseSpec) -> Score:
             None,
             None,
             time.perf_counter() - began,
-            str(error),
+            failure=str(error),
         )
     verdict, search = findings.verdict, findings.search
     sets = dict(zip(search.alternatives, verdict.equivalence_sets, strict=False))
@@ -98,6 +98,10 @@ def score(tier: str, spec: CaseSpec) -> Score:
         first,
         verdict.share,
         time.perf_counter() - began,
+        tuple(
+            (key, rung.fitted.error, rung.held_out.error)
+            for key, rung in (("", search.baseline), *search.ladder)
+        ),
     )
 
 

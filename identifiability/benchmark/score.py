@@ -36,6 +36,8 @@ class Score:
     removed : float or None
         Share of the held-out misfit beyond the noise that the final model removed.
     seconds : float
+    rungs : tuple of (str, float, float)
+        Errors of the fitted and the held-out trials: of the baseline ("") and with every effect.
     failure : str
     """
 
@@ -51,6 +53,7 @@ class Score:
     first_pick: bool | None
     removed: float | None
     seconds: float
+    rungs: tuple[tuple[str, float, float], ...] = ()
     failure: str = ""
 
     def to_dict(self) -> dict[str, Any]:
@@ -60,8 +63,8 @@ class Score:
     @classmethod
     def from_dict(cls, plain: Mapping[str, Any]) -> Score:
         """Score from its plain record."""
-        named = tuple(tuple(s) for s in plain["named"])
-        return cls(**{**plain, "truth": tuple(plain["truth"]), "named": named})
+        named, rungs = (tuple(tuple(s) for s in plain[key]) for key in ("named", "rungs"))
+        return cls(**{**plain, "truth": tuple(plain["truth"]), "named": named, "rungs": rungs})
 
 
 def outcome_of(

@@ -183,7 +183,9 @@ def _clock() -> Callable[[str, int, int], None]:
 
     def announce(what: str, done: int, total: int) -> None:
         count = f" {done}/{total}" if total > 1 else ""
-        print(f"[{time.monotonic() - began:5.0f} s] {what}{count}", file=sys.stderr, flush=True)
+        # In one piece: several threads report.
+        sys.stderr.write(f"[{time.monotonic() - began:5.0f} s] {what}{count}\n")
+        sys.stderr.flush()
 
     return announce
 

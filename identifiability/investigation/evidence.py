@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-import scipy.stats
 
 from identifiability.errors import InputError
 from identifiability.inference.problem import Observation, observe
@@ -22,7 +21,6 @@ from identifiability.measurement.trials import Trial, onsets, quiet_lead
 
 _SAMPLES_PER_CYCLE = 5.0
 _LEAD_SAMPLES = 20  # a shorter lead says too little about the noise
-_CHANCE = 1e-6  # that still noise looks like an answer to the torque, per trial
 _LONGEST, _WARM_UP = 4096, 1.0  # samples of a piece; seconds in which a piece forgets its start
 _ROUND = 64  # lengths are padded to a multiple, so that compiled programs serve many data sets
 DISCREPANCY = 1e-3
@@ -137,6 +135,21 @@ class Evidence:
         chosen = self.fitted if part is None else part
         return float(np.mean([r.lead.sd**2 / r.mean_square for r in chosen]))
 
+    @property
+    def moves_early(self) -> bool:
+        """Whether a torque that is not held constant precedes the first onset of some trial."""
+        return self.driven == "torque" and any(
+            np.ptp(r.trial.torque[: r.lead.n_samples]) > 0 for r in self.fitted if r.lead.n_samples
+        )
+
+    def without_leads(self) -> Evidence:
+        """Return the same trials with unknown noise and an unknown level of the response."""
+        fitted, held_out = (
+            tuple(replace(r, lead=Lead(0, 0.0, 1.0), has_offset=True) for r in part)
+            for part in (self.fitted, self.held_out)
+        )
+        return replace(self, fitted=fitted, held_out=held_out)
+
     def floor_uncertainty(self) -> float:
         """Relative standard error of the noise floor, from the lengths of the leads."""
         trials = (*self.fitted, *self.held_out)
@@ -234,10 +247,7 @@ def _ready(trials: Sequence[Trial], lowpass_hz: float | None) -> list[Ready]:
     if trials[0].driven == "angle":
         return [_angle_driven(trial, lowpass_hz) for trial in trials]
     leads = [quiet_lead(trial) for trial in trials]
-    usable = [
-        n if n >= _LEAD_SAMPLES and not _moves_along(t.torque[:n], t.angle[:n]) else 0
-        for t, n in zip(trials, leads, strict=True)
-    ]
+    usable = [n if n >= _LEAD_SAMPLES else 0 for n in leads]
     quiet = [t.angle[:n] for t, n in zip(trials, usable, strict=True) if n]
     time = float(np.mean([integrated_autocorrelation(q) for q in quiet])) if quiet else 1.0
     out = []
@@ -269,26 +279,6 @@ def _ready(trials: Sequence[Trial], lowpass_hz: float | None) -> list[Ready]:
         lead = Lead(n, sd, max(1.0, time))
         out.append(Ready(trial, 0, trial.n_samples, drive, trial.angle, lead, False))
     return out
-
-
-def _moves_along(torque: np.ndarray, angle: np.ndarray) -> bool:
-    """Whether the angle answers the torque, so that its scatter is motion and not noise.
-
-    A second-order autoregression of the angle is compared with one that sees the torque too, as a
-    joint of K, B and I would: the torque must halve its error, in a way that chance does not.
-    """
-    rows = np.lib.stride_tricks.sliding_window_view
-    past = np.column_stack([np.ones(angle.size - 2), rows(angle - angle.mean(), 3)[:, :2]])
-    seen = np.column_stack([past, rows(torque - torque.mean(), 3)])
-    left = [
-        float(np.sum((angle[2:] - x @ np.linalg.lstsq(x, angle[2:], rcond=None)[0]) ** 2))
-        for x in (past, seen)
-    ]
-    free, extra = len(seen) - seen.shape[1], seen.shape[1] - past.shape[1]
-    if not 0 < 2 * left[1] < left[0]:
-        return False
-    ratio = (left[0] - left[1]) / extra / (left[1] / free)
-    return bool(scipy.stats.f.sf(ratio, extra, free) < _CHANCE)
 
 
 def _angle_driven(trial: Trial, lowpass_hz: float | None) -> Ready:

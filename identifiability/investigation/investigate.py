@@ -37,6 +37,11 @@ from identifiability.joint.effects import EFFECTS, Effect
 from identifiability.joint.model import KBI, Model
 from identifiability.measurement.trials import Trial
 
+_MOVING = (
+    "the joint already moves before the first onset, as K, B and I say it should: the noise is not"
+    " known from there"
+)
+
 Progress = Callable[[str, int, int], None]
 T = TypeVar("T")
 
@@ -98,6 +103,12 @@ class Investigation:
     progress : callable
         Told ``(what, done, total)``.
 
+    Attributes
+    ----------
+    bench : Workbench
+    warnings : tuple of str
+        What the trials did not allow.
+
     Examples
     --------
     >>> study = Investigation(trials)                    # doctest: +SKIP
@@ -118,10 +129,27 @@ class Investigation:
         lowpass_hz: float | None = LOWPASS_HZ,
         progress: Progress = _silent,
     ) -> None:
-        self.evidence: Evidence = gather(trials, held_out, lowpass_hz=lowpass_hz)
         self.library = dict(EFFECTS if library is None else library)
-        self.bench = Workbench(self.evidence, dict(bounds or {}))
+        self.bench = Workbench(gather(trials, held_out, lowpass_hz=lowpass_hz), dict(bounds or {}))
+        self.warnings: tuple[str, ...] = ()
+        if self.evidence.has_noise and self.evidence.moves_early and self._leads_are_motion():
+            self.bench = Workbench(self.evidence.without_leads(), self.bench.bounds)
+            self.warnings = (_MOVING,)
         self._searcher = Searcher(self.bench, self.library, progress)
+
+    @property
+    def evidence(self) -> Evidence:
+        """Trials that models are fitted to, and those they are judged on."""
+        return self.bench.evidence
+
+    def _leads_are_motion(self) -> bool:
+        """Whether K, B and I explain most of what precedes the onsets: then it is not noise."""
+        kbi = self.fit(KBI())
+        leads = [(r, slice(r.lead.n_samples)) for r in self.evidence.fitted]
+        left = sum(
+            float(np.sum(e[s] ** 2)) for e, (_, s) in zip(kbi.fitted.by_trial, leads, strict=True)
+        )
+        return left < 0.5 * sum(float(np.sum(r.compared[s] ** 2)) for r, s in leads)
 
     def fit(self, model: Model, *, refined: bool = False) -> Candidate:
         """Fit a model to the trials that are not held out.
@@ -247,7 +275,7 @@ def investigate(
     study = Investigation(
         trials, held_out, library=library, bounds=bounds, lowpass_hz=lowpass_hz, progress=progress
     )
-    warnings: list[str] = []
+    warnings = list(study.warnings)
 
     def attempt(what: str, work: Callable[[], T]) -> T | None:
         # One part that fails must not take the others with it; the report says that it failed.

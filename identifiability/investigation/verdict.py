@@ -107,7 +107,7 @@ def judge(
         because.append(
             f"The equations are not exact: {rest.sentence}"
             if rest.share > _TRACE
-            else "The equations are not exact, and what they leave is of no form that is known here."
+            else "The equations are not exact, and what they leave is of no form known here."
         )
     if measured:
         words = _list([library[k].title for k in names])

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from textwrap import fill
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import TwoSlopeNorm
 from matplotlib.figure import Figure, SubFigure
+from matplotlib.patches import Patch
 
 from identifiability.investigation.unexplained import (
     DECISIVE,
@@ -19,9 +21,16 @@ from identifiability.investigation.unexplained import (
 from identifiability.plots.style import BLUE, GREY, ORANGE, PURPLE, VERMILLION, styled
 
 _MOST_TRIALS, _MOST_FAMILIES = 4, 8
+_LINE = 44  # letters of a family's name in one line
 _LONGEST = 3.0  # s of a trial that are shown
 _BAND = 1.96
 _COLOURS = {"sensor": ORANGE, "drift": ORANGE, "none": GREY, "unrepeatable": PURPLE}
+_MEANINGS = {
+    BLUE: "a function of the motion",
+    ORANGE: "measurement",
+    PURPLE: "differs by trial",
+    GREY: "noise",
+}
 
 
 def unexplained_figure(rest: Unexplained) -> Figure:
@@ -37,8 +46,8 @@ def unexplained_figure(rest: Unexplained) -> Figure:
     """
     detail = rest.memory_kernel is not None or rest.static_map is not None
     with styled():
-        figure = Figure(figsize=(11.0, 6.6))
-        halves = figure.subfigures(2, 1, squeeze=False, height_ratios=(1.1, 1.0))
+        figure = Figure(figsize=(11.0, 7.2))
+        halves = figure.subfigures(2, 1, squeeze=False, height_ratios=(1.25, 1.0))
         upper, lower = halves[:, 0]
         left, *right = np.atleast_1d(
             upper.subplots(1, 2 if detail else 1, width_ratios=(1.4, 1.0) if detail else None)
@@ -57,18 +66,22 @@ def _families(axes: Axes, rest: Unexplained) -> None:
     heights = np.array([f.log_evidence for f in shown])
     colours = [_COLOURS.get(f.kind, BLUE) for f in shown]
     axes.barh(range(len(shown)), heights, color=colours, height=0.7)
-    names = [
-        f.name + (" + a rest" if f.remainder else "") if len(f.name) < 45 else f.name[:44] + "…"
-        for f in shown
-    ]
-    axes.set_yticks(range(len(shown)), names, fontsize=9)
+    names = [f.name + (" + a rest" if f.remainder else "") for f in shown]
+    axes.set_yticks(range(len(shown)), [fill(name, _LINE) for name in names], fontsize=8.5)
     axes.invert_yaxis()
     axes.axvline(0, color=GREY, lw=0.8)
     axes.axvline(heights[0] - DECISIVE, color=GREY, lw=1, ls="--")
     axes.set_xlabel(
         f"log evidence against noise alone [nats]; dashed: {DECISIVE:.0f} below the best"
     )
-    axes.set_title("what kind of thing is left", loc="left")
+    axes.set_title("what kind of thing is left", loc="left", pad=24)
+    axes.legend(
+        handles=[Patch(color=c, label=words) for c, words in _MEANINGS.items() if c in colours],
+        loc="lower left",
+        bbox_to_anchor=(-0.02, 0.99),
+        ncols=len(_MEANINGS),
+        fontsize=9,
+    )
 
 
 def _kernel(axes: Axes, kernel: MemoryKernel) -> None:
@@ -84,8 +97,8 @@ def _kernel(axes: Axes, kernel: MemoryKernel) -> None:
     axes.plot(lag, kernel.h, color=BLUE)
     axes.axhline(0, color=GREY, lw=0.8)
     axes.set_xlabel("time after a step of angle [ms]")
-    axes.set_ylabel("torque / angle [Nm/rad]")
-    axes.set_title("memory of the missing torque, 95 %", loc="left")
+    axes.set_ylabel("torque / angle [Nm/rad], 95 %")
+    axes.set_title("memory of the missing torque", loc="left")
 
 
 def _map(axes: Axes, static: StaticMap) -> None:
