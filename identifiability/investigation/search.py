@@ -38,6 +38,10 @@ _SHARE, _SHARE_UNKNOWN_NOISE = 1 / 3, 0.1
 """Share of the remaining misfit that an effect must remove, and the same where the noise is not
 known: conventions."""
 _NEAR_FLOOR = 1.5
+FORM = 0.01
+"""Share of the misfit removed by the effects before, below which a further one may only mend their
+equations: these are taken to be right to a tenth of their torque, whose square this is."""
+ONLY_MENDS = "may only mend the equations of the effects before it"
 _SCREENED = 6  # effects that are fitted at every step after the first
 # Share of the best gain at a glance, and least number, to be finished: at first, and later on,
 # when models take longer.
@@ -181,6 +185,7 @@ class Searcher:
     library: dict[str, type[Effect]] = field(default_factory=lambda: dict(EFFECTS))
     progress: Progress = lambda what, done, total: None
     known: dict[tuple[tuple[str, ...], tuple[str, ...]], Candidate] = field(default_factory=dict)
+    baseline: Candidate | None = field(default=None, init=False)
 
     def run(self, baseline: Candidate, most: int = MOST_EFFECTS) -> Search:
         """Search from a fitted model.
@@ -192,6 +197,7 @@ class Searcher:
             Most effects to add.
         """
         current, steps, ended = baseline, [], f"{most} effects were added"
+        self.baseline = baseline
         while len(current.keys) < len(baseline.keys) + most:
             step = self.rank(current)
             steps.append(step)
@@ -370,6 +376,8 @@ class Searcher:
             reason = "the held-out trials do not agree"
         elif not self._matters(candidate, current):
             reason = "removes too little of what is left"
+        elif self._only_mends(candidate, current):
+            reason = ONLY_MENDS
         return Ranked(key, candidate, gain, held, not reason, reason)
 
     def _held_out_agrees(self, candidate: Candidate, current: Candidate, held: float) -> bool:
@@ -381,6 +389,26 @@ class Searcher:
         samples = effective_samples(candidate.held_out, moved)
         chance = 2 * np.sqrt(max(fit_gain, 0.0) / samples)
         return bool(held > 0.25 * fit_gain - chance and held > 0)
+
+    def _only_mends(self, candidate: Candidate, current: Candidate) -> bool:
+        """Whether a further effect removes no more than inexact equations may leave.
+
+        It is believed all the same where nothing but noise is left with it: an effect that stands
+        for an error of form seldom fits that well.
+        """
+        first = self.baseline
+        if first is None or not set(first.keys) < set(current.keys) < set(candidate.keys):
+            return False
+        before, now, after = (_pooled_error(c) for c in (first, current, candidate))
+        return now - after < FORM * (before - now) and not self._leaves_noise(candidate)
+
+    def _leaves_noise(self, candidate: Candidate) -> bool:
+        evidence = self.bench.evidence
+        floor = evidence.noise_floor((*evidence.fitted, *evidence.held_out))
+        if floor is None:
+            return self.at_floor(candidate)
+        slack = 1 + min(3 * evidence.floor_uncertainty(), 0.3)
+        return self.at_floor(candidate) and _pooled_error(candidate) <= floor * slack
 
     def _matters(self, candidate: Candidate, current: Candidate) -> bool:
         """Whether an effect removes a fair share of the misfit that the model before left.
@@ -407,8 +435,8 @@ class Searcher:
             # A linear model costs little.
             if r.evidence >= (0.0 if r.candidate.model.linear else max(0.0, _WITHIN_REACH * top))
             and _refinable(r.candidate, r.key)
-            # Beside other effects only what is admitted in its plain form: refining takes long.
-            and (r.passes or not current.keys)
+            # Beside other effects only what its plain form nearly is: refining takes long.
+            and (r.passes or r.reason == ONLY_MENDS or not current.keys)
         ][:_MOST_REFINED]
         refined: dict[str, Candidate] = {}
         for r in worth:

@@ -11,7 +11,7 @@ from identifiability.investigation.candidates import Candidate, effective_sample
 from identifiability.investigation.equivalence import equivalence_set, same_form
 from identifiability.investigation.evidence import Evidence
 from identifiability.investigation.power import Detectable
-from identifiability.investigation.search import DECISIVE, Search
+from identifiability.investigation.search import DECISIVE, ONLY_MENDS, Search
 from identifiability.investigation.unexplained import Unexplained
 from identifiability.joint.effects.base import Effect
 
@@ -98,7 +98,7 @@ def judge(
     quiet = _quiet(evidence, final, rest)
     if not names:
         return _nothing_named(rest, quiet, because, smallest_seen)
-    because += _reasons(search, sets, library)
+    because += [*_reasons(search, sets, library), *_clue(search)]
     enough = EXPLAINED_SHARE if evidence.has_noise else NAMED_SHARE
     measured = all(library[k].place == "sensor" for s in sets for k in s)
     if not quiet and share is not None and share < enough:
@@ -269,6 +269,18 @@ def _reasons(
                 "and angle can never tell them apart."
             )
     return out
+
+
+def _clue(search: Search) -> list[str]:
+    """What would lower the error a little more, and is not named."""
+    ranking = next((s.ranking for s in search.steps[-1:] if s.before is search.final), ())
+    for r in ranking:
+        if r.reason == ONLY_MENDS:
+            return [
+                f"With {_plain(r.key)} too, E would fall to {r.candidate.fitted.error:.3g}; but "
+                "equations that are right to a tenth leave as much, so that this is at most a clue."
+            ]
+    return []
 
 
 def _plain(key: str) -> str:
