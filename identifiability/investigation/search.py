@@ -428,7 +428,8 @@ class Searcher:
 
     def _refine(self, ranking: list[Ranked], current: Candidate) -> list[Ranked]:
         """Free the refining parameters of the best candidates; keep them where it pays."""
-        top = ranking[0].evidence
+        # What is not admitted does not set the mark: with many samples a trifle may be evident.
+        top = next((r for r in ranking if r.passes), ranking[0]).evidence
         worth = [
             r
             for r in ranking
