@@ -247,6 +247,30 @@ def test_the_plainest_is_taken_only_where_all_may_be_error_of_measurement(
     assert searcher._choose([]) == ""
 
 
+def test_where_the_model_without_an_effect_has_no_fit_its_rivals_are_fitted_all_the_same(
+    monkeypatch,
+):
+    model = KBI() + EFFECTS["cubic_stiffness"]()
+    data = trials(model, JOINT | {"cubic_stiffness.coefficient": 120.0})
+    study = Investigation(data, library=SMALL)
+    first, final = study.fit(KBI()), study.fit(model + EFFECTS["sensor_delay"]())
+    library = {key: EFFECTS[key] for key in ("cubic_stiffness", "series_tendon")}
+    searcher = Searcher(study.bench, library)
+    searcher.rank(first)  # what was tried alone may stand in another's place
+    whole = Workbench.fit
+
+    def failing(bench, model, starts, **options):
+        found = whole(bench, model, starts, **options)
+        if model.effect_keys != ("sensor_delay",):
+            return found
+        return replace(found, values={}, failure="no finite response")
+
+    monkeypatch.setattr(Workbench, "fit", failing)
+    rivals = searcher._swaps("cubic_stiffness", final, first)
+    assert rivals
+    assert not any(r.candidate.failure for r in rivals)
+
+
 def test_no_search_below_an_error_of_measurement():
     model = KBI() + EFFECTS["cubic_stiffness"]()
     values = JOINT | {"cubic_stiffness.coefficient": 120.0}

@@ -477,7 +477,8 @@ class Searcher:
         rest = self.fit(current.model.without(key), baseline, refined=current.refined)
         likely = self._likely(key, current, baseline)
         jobs = [(rest.model + self.library[other](), other) for other in likely]
-        fitted = self._fit_all(f"in the place of {key}", jobs, rest)
+        near = baseline if rest.failure else rest
+        fitted = self._fit_all(f"in the place of {key}", jobs, near)
         if key in current.refined:
             # A rival to a refined effect is refined too, or the comparison is not fair.
             fitted = [(other, self._richer(plain, other)) for other, plain in fitted]
