@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -205,8 +205,7 @@ def widths(
     points, walkers = (_FEW_POINTS, _FEW_WALKERS) if quick else (POINTS, WALKERS)
 
     def follow(name: str) -> Profile:
-        # A problem remembers its last point, so each thread has one of its own.
-        return profile(replace(problem), best.values, name, points=points, shape=shape)
+        return profile(problem, best.values, name, points=points, shape=shape)
 
     with ThreadPoolExecutor(_THREADS if quick else 1) as pool:
         profiles = tuple(pool.map(follow, problem.names))

@@ -26,7 +26,7 @@ _ROUND = 64  # lengths are padded to a multiple, so that compiled programs serve
 DISCREPANCY = 1e-3
 """Share of a trial's mean square that is added to its noise variance in the weights: the paper's
 dE. It keeps a nearly noiseless trial from deciding alone against models that are never exact. Where
-the noise is not known it stands for it: no effect is added to a model that leaves less."""
+the noise is not known it stands for it: no further effect is added to a model that leaves less."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +46,9 @@ class Lead:
     n_samples: int
     sd: float
     correlation_time: float
+
+
+NO_LEAD = Lead(0, 0.0, 1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,7 +148,7 @@ class Evidence:
     def without_leads(self) -> Evidence:
         """Return the same trials with unknown noise and an unknown level of the response."""
         fitted, held_out = (
-            tuple(replace(r, lead=Lead(0, 0.0, 1.0), has_offset=True) for r in part)
+            tuple(replace(r, lead=NO_LEAD, has_offset=True) for r in part)
             for part in (self.fitted, self.held_out)
         )
         return replace(self, fitted=fitted, held_out=held_out)
@@ -254,9 +257,7 @@ def _ready(trials: Sequence[Trial], lowpass_hz: float | None) -> list[Ready]:
     for trial, n in zip(trials, usable, strict=True):
         if not n:
             drive = SampledTorque(trial.torque).drive(trial.time)
-            out.append(
-                Ready(trial, 0, trial.n_samples, drive, trial.angle, Lead(0, 0.0, 1.0), True)
-            )
+            out.append(Ready(trial, 0, trial.n_samples, drive, trial.angle, NO_LEAD, True))
             continue
         # A level that the lead's own scatter explains is left alone: taking it off would add its
         # error to every sample.
@@ -294,7 +295,7 @@ def _angle_driven(trial: Trial, lowpass_hz: float | None) -> Ready:
         if stride > 1:
             ready = ready.decimate(stride)
     drive = imposed_motion(ready.time, ready.angle)
-    return Ready(ready, 0, ready.n_samples, drive, ready.torque, Lead(0, 0.0, 1.0), True)
+    return Ready(ready, 0, ready.n_samples, drive, ready.torque, NO_LEAD, True)
 
 
 def _resolution(values: np.ndarray) -> float:

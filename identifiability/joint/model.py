@@ -267,8 +267,9 @@ def _balance(excess: Callable[..., Array], affine: bool) -> Array:
         return velocity - value / jnp.where(jnp.abs(slope) < 1e-9, 1e-9, slope)
 
     velocity = jnp.zeros(())
-    for step in range(1 if affine else _NEWTON_STEPS):
-        velocity = closer(velocity, not affine and step < _NEWTON_STEPS - 2)
+    steps = 1 if affine else _NEWTON_STEPS
+    for step in range(steps):
+        velocity = closer(velocity, step < steps - 2)
     return velocity
 
 
