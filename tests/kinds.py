@@ -49,10 +49,11 @@ GENERIC = {
     "coulomb_friction": {"breakaway": 0.3},
     "hill_force_velocity": {"asymmetry": 0.3},
     "nonlinear_tendon": {"asymmetry": 0.3},
+    "quadratic_stiffness": {"hardening": 3.0},
     "sensor_delay": {"delay": 0.0033},
     "sensor_drift": {"bend": 0.1},
     "sensor_lowpass": {"shape": 0.3},
-    "short_range_stiffness": {"renewal": 5.0},
+    "short_range_stiffness": {"renewal": 5.0, "sharpness": 3.0},
     "stretch_reflex": {
         "asymmetry": 0.3,
         "threshold": 0.2,

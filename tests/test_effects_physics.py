@@ -107,9 +107,9 @@ EQUATIONS = {
         lambda q, v, z: [(q - z[0]) / 0.02],
     ),
     "quadratic_stiffness": (
-        {"coefficient": 100.0},
+        {"coefficient": 100.0, "hardening": 4.0},
         0,
-        lambda q, v, z: 100 * q**2,
+        lambda q, v, z: 200 * (np.exp(4 * q) - 1 - 4 * q) / 16,
         lambda q, v, z: [],
     ),
     "second_mass": (
@@ -119,10 +119,10 @@ EQUATIONS = {
         lambda q, v, z: [z[1], OMEGA * (OMEGA * (q - z[0]) + 0.4 * (v - z[1]))],
     ),
     "short_range_stiffness": (
-        {"stiffness": 100.0, "range": 0.03, "renewal": 20.0},
+        {"stiffness": 100.0, "range": 0.03, "sharpness": 3.0, "renewal": 20.0},
         1,
         lambda q, v, z: 100 * z[0],
-        lambda q, v, z: [v - abs(v) * z[0] / 0.03 - 20 * z[0]],
+        lambda q, v, z: [v - (z[0] * v > 0) * v * abs(z[0] / 0.03) ** 3 - 20 * z[0]],
     ),
 }
 
@@ -230,7 +230,8 @@ def test_hill_relation_has_its_known_values():
 
 
 def test_short_range_stiffness_stretches_then_yields():
-    own = {"stiffness": 100.0, "range": 0.02, "renewal": 0.0}
+    # Yielding in proportion to the stretch has a closed form.
+    own = {"stiffness": 100.0, "range": 0.02, "sharpness": 1.0, "renewal": 0.0}
     for speed in (-2.0, 2.0):
         found = response("short_range_stiffness", ramp(speed), substeps=4, K=0.0, B=0.0, **own)
         moved = np.abs(speed) * TIME
@@ -418,10 +419,11 @@ def test_short_range_stiffness_with_a_tendon_sees_the_muscles_motion():
         q, v, x, z = state
         tension = 120 * (q - x)
         w = (tension - K * x - 100 * z) / B
-        return [v, (applied(t) - tension) / I, w, w - abs(w) * z / 0.03 - 20 * z]
+        growing = w if w * z > 0 else 0.0
+        return [v, (applied(t) - tension) / I, w, w - growing * abs(z) / 0.03 - 20 * z]
 
     expected = by_ode(rates, np.zeros(4), TIME)[0]
-    values = np.array([K, B, I, 120.0, 100.0, 0.03, 20.0])
+    values = np.array([K, B, I, 120.0, 100.0, 0.03, 1.0, 20.0])
     agree(simulate(model, values, SINUSOID, substeps=4), expected, 1e-6)
 
 

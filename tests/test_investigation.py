@@ -11,15 +11,17 @@ from identifiability.benchmark.score import matched, outcome_of, wilson
 from identifiability.cli.main import main
 from identifiability.errors import InputError
 from identifiability.investigation.candidates import (
+    NOTHING,
     Candidate,
     Residual,
     Workbench,
     owners,
     starting_values,
 )
+from identifiability.investigation.equivalence import equivalence_set
 from identifiability.investigation.evidence import gather
 from identifiability.investigation.investigate import Investigation
-from identifiability.investigation.search import DECISIVE, Ranked, Searcher
+from identifiability.investigation.search import DECISIVE, Ranked, Search, Searcher
 from identifiability.joint.effects import EFFECTS
 from identifiability.joint.effects.base import Effect
 from identifiability.joint.model import KBI
@@ -303,6 +305,64 @@ def test_what_the_library_does_not_know_is_not_named():
     )
     found = study.search(study.fit(KBI()))
     assert found.final.held_out.error > 3 * study.evidence.noise_floor(study.evidence.held_out)
+
+
+def test_a_segment_shorter_than_any_is_not_gravity():
+    # Within the reach of these trials an exponential spring is a pendulum's weight, of 8 mm.
+    model = KBI() + EFFECTS["quadratic_stiffness"]()
+    values = JOINT | {"quadratic_stiffness.coefficient": 30.0, "quadratic_stiffness.hardening": 2.0}
+    gravity = KBI() + EFFECTS["gravity"]()
+    for moment, allowed in ((6.0, True), (200.0, False)):
+        fitted = JOINT | {"gravity.moment": moment, "gravity.posture": 1.0}
+        assert (gravity.objection(fitted) == "") is allowed
+    library = {key: EFFECTS[key] for key in ("quadratic_stiffness", "gravity")}
+    study = Investigation(
+        trials(model, values), trials(model, values, seed=9, conditions=HELD), library=library
+    )
+    found = study.search(study.fit(KBI()))
+    assert found.final.keys == ("quadratic_stiffness",)
+    assert found.final.refined == ("quadratic_stiffness",)
+    weight = next(r for r in found.steps[0].ranking if r.key == "gravity")
+    assert "pendulum" in weight.reason
+    assert not weight.passes
+    # Of an imposed motion the inertia may be unknown, and nothing is held against it.
+    angle_driven = [replace(t, driven="angle") for t in trials(model, values)]
+    assert Workbench(gather(angle_driven)).objection(weight.candidate) == ""
+
+
+@pytest.mark.parametrize(
+    ("exact", "rival_error", "objection", "member"),
+    [
+        (False, 0.0105, "", True),  # removes all but 0.6 % of what the effect removes
+        (False, 0.0115, "", False),  # all but 1.7 %
+        (True, 0.0105, "", False),  # the final model leaves only noise: no excuse
+        (False, 0.0105, "no segment is so short", False),
+    ],
+)
+def test_inexact_equations_exclude_no_rival_that_comes_near(exact, rival_error, objection, member):
+    rng = np.random.default_rng(1)
+
+    def candidate(error):
+        residual = rng.standard_normal(500)
+        return Candidate(
+            KBI(), JOINT, (), Residual((residual,), np.array([error]), 500 * error), NOTHING
+        )
+
+    rival = candidate(rival_error)
+    ranked = Ranked("cubic_stiffness", rival, -100.0, 0.0, False, "", objection)
+    before, final = candidate(0.1), candidate(0.01)
+    search = Search(
+        before,
+        (),
+        final,
+        (),
+        {"gravity": (ranked,)},
+        {"gravity": before},
+        exact,
+        2,
+        "",
+    )
+    assert ("cubic_stiffness" in equivalence_set("gravity", search, EFFECTS)) is member
 
 
 # Scores

@@ -233,7 +233,8 @@ def test_a_cubic_spring_is_odd_and_does_not_scale():
 
 
 def test_a_one_sided_spring_is_even():
-    values = (("K", 30.0), ("quadratic_stiffness.coefficient", 60.0))
+    own = (("coefficient", 60.0), ("hardening", 0.0))
+    values = (("K", 30.0), *((f"quadratic_stiffness.{name}", value) for name, value in own))
     comparison, location = findings(KBI() + QuadraticStiffness(), values)
     assert location.direction.even_significant
     assert location.direction.p_even < location.direction.p_odd

@@ -396,38 +396,35 @@ class StretchReflex(TorqueEffect):
 class ShortRangeStiffness(TorqueEffect):
     """Attached cross-bridges: a spring that yields and, in time, lets go.
 
+    Either all yield alike, and renew in time, or they are `YIELDS` in parallel, each almost ideally
+    plastic, that yield one after the other (Iwan 1966, J Appl Mech 33: 893-900).
+
     Attributes
     ----------
     stiffness : float
         Stiffness (Nm/rad) before yielding.
     limit : float
-        Stretch (rad) at which the cross-bridges yield.
+        Stretch (rad) at which the cross-bridges yield, on average.
     turnover : float
         Time (s) in which cross-bridges detach and attach anew; infinite where they only yield.
-    sharpness : float
-        Exponent of the yielding: 1 is Dahl's gradual, infinity the ideally plastic one.
     form : str
-        "yielding" or "turnover".
+        "yielding" one after the other, or "turnover".
     """
 
     stiffness: float
     limit: float
     turnover: float
-    sharpness: float
     form: str
     key = "short_range_stiffness"
     forms = ("yielding", "turnover")
+    YIELDS: ClassVar = (0.5, 5 / 6, 7 / 6, 1.5)  # of the limit
 
     @classmethod
     def draw(cls, rng: np.random.Generator, anatomy: Anatomy, form: str) -> Self:
         """Draw cross-bridges that yield after 0.7 to 2.6 degrees."""
         turnover = rng.uniform(0.1, 0.3) if form == "turnover" else math.inf
         return cls(
-            rng.uniform(0.6, 1.8) * anatomy.stiffness,
-            rng.uniform(0.012, 0.045),
-            turnover,
-            4.0,
-            form,
+            rng.uniform(0.6, 1.8) * anatomy.stiffness, rng.uniform(0.012, 0.045), turnover, form
         )
 
     def scaled(self, size: float) -> Self:
@@ -435,16 +432,20 @@ class ShortRangeStiffness(TorqueEffect):
         return self._times(size, "stiffness")
 
     def n_states(self) -> int:  # noqa: D102
-        return 1
+        return len(self.YIELDS) if self.form == "yielding" else 1
 
     def react(  # noqa: D102
         self, time: float, angle: float, velocity: float, states: Sequence[float], past: Past
     ) -> Reaction:
-        stretch = states[0]
-        rate = velocity
-        if stretch * velocity > 0.0:
-            rate -= velocity * (abs(stretch) / self.limit) ** self.sharpness
-        return self.stiffness * stretch, (rate - stretch / self.turnover,)
+        yields, sharpness = (self.YIELDS, 8.0) if self.form == "yielding" else ((1.0,), 4.0)
+        rates = []
+        for stretch, share in zip(states, yields, strict=True):
+            rate = velocity
+            if stretch * velocity > 0.0:
+                beyond = min(abs(stretch) / (share * self.limit), 2.0)  # a trial step may overshoot
+                rate -= velocity * beyond**sharpness
+            rates.append(rate - stretch / self.turnover)
+        return self.stiffness * sum(states) / len(yields), rates
 
 
 @dataclass(frozen=True)
@@ -582,9 +583,10 @@ class Gravity(TorqueEffect):
 
     @classmethod
     def draw(cls, rng: np.random.Generator, anatomy: Anatomy, form: str) -> Self:
-        """Draw a limb 0.5 to 1.4 rad from hanging down."""
+        """Draw a limb that would swing like a pendulum of 5 to 25 cm, 0.5 to 1.4 rad from down."""
+        length = rng.uniform(0.05, 0.25)
         return cls(
-            rng.uniform(0.5, 1.2) * anatomy.stiffness,
+            9.81 * anatomy.inertia / length,
             rng.uniform(0.5, 1.4) * float(rng.choice([-1.0, 1.0])),
         )
 

@@ -223,6 +223,16 @@ class Workbench:
             time.perf_counter() - began,
         )
 
+    def objection(self, candidate: Candidate) -> str:
+        """Why a candidate's parameters cannot be those of a joint; empty if they can.
+
+        Only where the joint moves freely: a motion that is imposed slowly tells little of the
+        inertia that the others are compared with.
+        """
+        if candidate.failure or self.evidence.driven == "angle":
+            return ""
+        return candidate.model.objection(candidate.values)
+
     def finish(self, glanced: Candidate) -> Candidate:
         """Carry a fit that was only glanced at to its end, from the best places it reached."""
         if glanced.failure or glanced.thorough:

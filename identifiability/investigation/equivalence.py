@@ -6,28 +6,26 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from identifiability.investigation.candidates import Candidate, difference, effective_samples
-from identifiability.investigation.search import DECISIVE, Ranked
+from identifiability.investigation.candidates import difference, effective_samples
+from identifiability.investigation.search import DECISIVE, FORM, Search, pooled_error
 from identifiability.joint.effects.base import Effect
 
 
-def equivalence_set(
-    key: str, final: Candidate, alternatives: Sequence[Ranked], library: Mapping[str, type[Effect]]
-) -> list[str]:
+def equivalence_set(key: str, search: Search, library: Mapping[str, type[Effect]]) -> list[str]:
     """Effects that explain the data as well as one of the final model's, that one included.
 
     A rival belongs to the set unless the data speak decisively against it: its fit is worse by the
     decisive difference, a larger model's penalty not counted against it (parsimony may rank, but
-    not exclude), or its prediction of the held-out trials is. Effects of the same form belong to it
-    always; a refinement of the effect (a tendon that also stiffens) is no rival.
+    not exclude), or its prediction of the held-out trials is. Where the final model leaves more
+    than noise its equations are not exact, and a rival is not excluded either that comes as near as
+    inexact equations may (`FORM`). Effects of the same form belong to it always; a refinement of
+    the effect (a tendon that also stiffens) is no rival, nor is one with values no joint has.
 
     Parameters
     ----------
     key : str
         Effect of the final model.
-    final : Candidate
-    alternatives : sequence of Ranked
-        Final models with another effect in its place; evidence is against the final model.
+    search : Search
     library : mapping of str to type of Effect
 
     Returns
@@ -35,9 +33,14 @@ def equivalence_set(
     list of str
         Best first.
     """
-    members = []
-    for r in alternatives:
-        if r.candidate.failure or key in library[r.key].refines:
+    members, final = [], search.final
+    mine, before = pooled_error(final), pooled_error(search.without[key])
+    inexact = 0.0 if search.exact or not np.isfinite(before) else FORM * (before - mine)
+    for r in search.alternatives[key]:
+        if r.candidate.failure or r.objection or key in library[r.key].refines:
+            continue
+        if pooled_error(r.candidate) - mine < inexact:
+            members.append(r.key)
             continue
         moved = difference(final.fitted, r.candidate.fitted)
         extra = len(r.candidate.free) - len(final.free)

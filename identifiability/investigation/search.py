@@ -39,8 +39,9 @@ _SHARE, _SHARE_UNKNOWN_NOISE = 1 / 3, 0.1
 known: conventions."""
 _NEAR_FLOOR = 1.5
 FORM = 0.01
-"""Share of the misfit removed by the effects before, below which a further one may only mend their
-equations: these are taken to be right to a tenth of their torque, whose square this is."""
+"""Share of a misfit that equations right to a tenth of their torque may leave: its square.
+A further effect that removes less than this share of what those before it removed may only mend
+their equations, and a rival that removes all but this share is not excluded by it."""
 ONLY_MENDS = "may only mend the equations of the effects before it"
 _SCREENED = 6  # effects that are fitted at every step after the first
 # Share of the best gain at a glance, and least number, to be finished: at first, and later on,
@@ -69,6 +70,8 @@ class Ranked:
         Whether it is admitted: decisive evidence, and the held-out trials agree.
     reason : str
         Why it is not.
+    objection : str
+        Why its values cannot be those of a joint, whatever the evidence.
     """
 
     key: str
@@ -77,6 +80,7 @@ class Ranked:
     held_out_gain: float
     passes: bool
     reason: str
+    objection: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,6 +120,10 @@ class Search:
     alternatives : dict of str to tuple of Ranked
         For each effect of the final model, what could stand in its place, best first; evidence is
         against the final model.
+    without : dict of str to Candidate
+        For each effect of the final model, the model without it.
+    exact : bool
+        Whether the final model leaves no more than noise.
     n_fits : int
         Number of models that were fitted.
     ended : str
@@ -127,6 +135,8 @@ class Search:
     final: Candidate
     ladder: tuple[tuple[str, Candidate], ...]
     alternatives: dict[str, tuple[Ranked, ...]]
+    without: dict[str, Candidate]
+    exact: bool
     n_fits: int
     ended: str
 
@@ -211,8 +221,25 @@ class Searcher:
                 break
         current = self._simplify(self._prune(current, baseline), baseline)
         ladder = self._ladder(current, baseline)
-        alternatives = self._alternatives(current, baseline, [key for key, _ in ladder], steps)
-        return Search(baseline, tuple(steps), current, ladder, alternatives, len(self.known), ended)
+        added = [key for key, _ in ladder]
+        alternatives = self._alternatives(current, baseline, added, steps)
+        without = {
+            key: self.fit(current.model.without(key), baseline, refined=current.refined)
+            if len(added) > 1
+            else baseline
+            for key in added
+        }
+        return Search(
+            baseline,
+            tuple(steps),
+            current,
+            ladder,
+            alternatives,
+            without,
+            self._leaves_noise(current),
+            len(self.known),
+            ended,
+        )
 
     def at_floor(self, candidate: Candidate) -> bool:
         """Whether a model leaves no more than the noise does, or an error of measurement may."""
@@ -369,7 +396,8 @@ class Searcher:
             return Ranked(key, candidate, -np.inf, -np.inf, False, candidate.failure)
         gain = total_evidence(candidate, current, best)
         held = held_out_gain(candidate, current)
-        reason = ""
+        objection = self.bench.objection(candidate)
+        reason = objection
         if gain < DECISIVE:
             reason = "no decisive evidence"
         elif not self._held_out_agrees(candidate, current, held):
@@ -378,7 +406,7 @@ class Searcher:
             reason = "removes too little of what is left"
         elif self._only_mends(candidate, current):
             reason = ONLY_MENDS
-        return Ranked(key, candidate, gain, held, not reason, reason)
+        return Ranked(key, candidate, gain, held, not reason, reason, objection)
 
     def _held_out_agrees(self, candidate: Candidate, current: Candidate, held: float) -> bool:
         if not self.bench.evidence.held_out:
@@ -399,7 +427,7 @@ class Searcher:
         first = self.baseline
         if first is None or not set(first.keys) < set(current.keys) < set(candidate.keys):
             return False
-        before, now, after = (_pooled_error(c) for c in (first, current, candidate))
+        before, now, after = (pooled_error(c) for c in (first, current, candidate))
         return now - after < FORM * (before - now) and not self._leaves_noise(candidate)
 
     def _leaves_noise(self, candidate: Candidate) -> bool:
@@ -408,7 +436,7 @@ class Searcher:
         if floor is None:
             return self.at_floor(candidate)
         slack = 1 + min(3 * evidence.floor_uncertainty(), 0.3)
-        return self.at_floor(candidate) and _pooled_error(candidate) <= floor * slack
+        return self.at_floor(candidate) and pooled_error(candidate) <= floor * slack
 
     def _matters(self, candidate: Candidate, current: Candidate) -> bool:
         """Whether an effect removes a fair share of the misfit that the model before left.
@@ -419,7 +447,7 @@ class Searcher:
         evidence = self.bench.evidence
         everything = (*evidence.fitted, *evidence.held_out)
         floor = evidence.noise_floor(everything)
-        before, after = (_pooled_error(c) for c in (current, candidate))
+        before, after = (pooled_error(c) for c in (current, candidate))
         if floor is None:
             return after < (1 - _SHARE_UNKNOWN_NOISE) * before
         if before < _NEAR_FLOOR * floor:
@@ -557,7 +585,7 @@ class Searcher:
                 )
                 for key in left
             ]
-            key, below = min(tried, key=lambda pair: _pooled_error(pair[1]))
+            key, below = min(tried, key=lambda pair: pooled_error(pair[1]))
             rungs.append((key, below))
             left.remove(key)
         return tuple(rungs)
@@ -580,7 +608,7 @@ class Searcher:
         return out
 
 
-def _pooled_error(candidate: Candidate) -> float:
+def pooled_error(candidate: Candidate) -> float:
     """E pooled over all trials, fitted and held out."""
     parts = [candidate.fitted.errors]
     if candidate.held_out.by_trial:

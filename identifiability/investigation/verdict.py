@@ -11,7 +11,7 @@ from identifiability.investigation.candidates import Candidate, effective_sample
 from identifiability.investigation.equivalence import equivalence_set, same_form
 from identifiability.investigation.evidence import Evidence
 from identifiability.investigation.power import Detectable
-from identifiability.investigation.search import DECISIVE, ONLY_MENDS, Search
+from identifiability.investigation.search import DECISIVE, FORM, ONLY_MENDS, Search
 from identifiability.investigation.unexplained import Unexplained
 from identifiability.joint.effects.base import Effect
 
@@ -88,17 +88,14 @@ def judge(
     library : mapping of str to type of Effect
     """
     baseline, final = search.baseline, search.final
-    sets = tuple(
-        tuple(equivalence_set(key, final, ranked, library))
-        for key, ranked in search.alternatives.items()
-    )
+    sets = tuple(tuple(equivalence_set(key, search, library)) for key in search.alternatives)
     names = tuple(s[0] for s in sets)
     share = _share(evidence, baseline, final)
     because = [_errors(evidence, baseline, final)]
     quiet = _quiet(evidence, final, rest)
     if not names:
         return _nothing_named(rest, quiet, because, smallest_seen)
-    because += [*_reasons(search, sets, library), *_clue(search)]
+    because += [*_reasons(evidence, search, sets, library), *_clue(search)]
     enough = EXPLAINED_SHARE if evidence.has_noise else NAMED_SHARE
     measured = all(library[k].place == "sensor" for s in sets for k in s)
     if not quiet and share is not None and share < enough:
@@ -229,14 +226,17 @@ def _errors(evidence: Evidence, baseline: Candidate, final: Candidate) -> str:
 
 
 def _reasons(
-    search: Search, sets: Sequence[Sequence[str]], library: Mapping[str, type[Effect]]
+    evidence: Evidence,
+    search: Search,
+    sets: Sequence[Sequence[str]],
+    library: Mapping[str, type[Effect]],
 ) -> list[str]:
     out = []
     for chosen, members in zip(search.alternatives, sets, strict=True):
         rivals = [
             r
             for r in search.alternatives[chosen]
-            if r.key not in members and np.isfinite(r.evidence)
+            if r.key not in members and np.isfinite(r.evidence) and not r.objection
         ]
         rivals.sort(key=lambda r: -r.evidence)
         if (
@@ -254,19 +254,30 @@ def _reasons(
                 f"In the place of {_plain(members[0])} the next best is {_plain(rivals[0].key)}, "
                 f"worse by {-rivals[0].evidence:.0f} (more than {DECISIVE:.0f} is decisive)."
             )
-        better = [
-            r for r in search.alternatives[chosen] if r.key in members and r.evidence > DECISIVE
+        out += [
+            f"With {_plain(r.key)} in the place of {_plain(members[0])}, {r.objection}."
+            for r in search.alternatives[chosen]
+            if r.objection and r.evidence > -DECISIVE
         ]
-        if better:
+        alike = [r for r in search.alternatives[chosen] if r.key in members]
+        better = [r for r in alike if r.evidence > DECISIVE]
+        if better and not evidence.has_noise:
             out.append(
                 f"With more parameters, {_plain(better[0].key)} leaves less still, but what the "
                 f"{_plain(members[0])} leaves may be error of measurement."
             )
-        alike = [k for k in members[1:] if k in library[members[0]].equivalent]
-        if alike:
+        same = [k for k in members[1:] if k in library[members[0]].equivalent]
+        if same:
             out.append(
-                f"{_plain(members[0]).capitalize()} and {_plain(alike[0])} are of one form: torque "
+                f"{_plain(members[0]).capitalize()} and {_plain(same[0])} are of one form: torque "
                 "and angle can never tell them apart."
+            )
+        near = [r.key for r in alike if abs(r.evidence) > DECISIVE and r.key not in same]
+        if near and not search.exact and evidence.has_noise:
+            out.append(
+                f"In the place of {_plain(members[0])}, {_list([_plain(k) for k in near])} leaves "
+                f"the same but for {100 * FORM:.0f} % of what it removes: equations that are right "
+                "to a tenth do not tell them apart."
             )
     return out
 

@@ -139,6 +139,10 @@ class Model:
             for effect, p in zip(self.effects, self._effect_parameters(nominal), strict=True)
         )
 
+    def objection(self, values: Mapping[str, float]) -> str:
+        """Why values of all parameters, by name, cannot be those of a joint; empty if they can."""
+        return "; ".join(filter(None, (effect.objection(values) for effect in self.effects)))
+
     @property
     def n_internal(self) -> int:
         """Number of states besides the joint's own angle and velocity."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import ClassVar, Literal, NamedTuple
 
 import jax.numpy as jnp
@@ -110,6 +110,21 @@ class Effect(ABC):
         array, shape (n,)
         """
         return response
+
+    def objection(self, values: Mapping[str, float]) -> str:
+        """Why fitted values cannot be those of a joint, beyond what bounds can say.
+
+        Parameters
+        ----------
+        values : mapping of str to float
+            All parameters of the model by their full names, ``K`` and ``gravity.moment`` say.
+
+        Returns
+        -------
+        str
+            Empty where there is no objection. A candidate with one is not admitted.
+        """
+        return ""
 
     @property
     def kind(self) -> Literal["physics", "measurement"]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import jax.numpy as jnp
 from jax import Array
@@ -10,6 +10,11 @@ from jax.typing import ArrayLike
 
 from identifiability.joint.effects.base import Effect, Motion
 from identifiability.joint.parameters import Parameter
+
+_STANDARD_GRAVITY = 9.81  # m/s2
+_SHORTEST = 0.01
+"""Length (m) of the simple pendulum that swings like the segment, I / (m l), below which there is
+no segment: of a finger of 8 cm it is 5 cm, and an apparatus only adds inertia."""
 
 
 class Gravity(Effect):
@@ -53,3 +58,13 @@ class Gravity(Effect):
     ) -> ArrayLike:
         """Torque [Nm] beyond that at the operating point."""
         return p[0] * (jnp.sin(p[1] + motion.angle) - jnp.sin(p[1]))
+
+    def objection(self, values: Mapping[str, float]) -> str:
+        """Whether the segment would be too short for its inertia."""
+        length = _STANDARD_GRAVITY * values["I"] / max(values["gravity.moment"], 1e-12)
+        if length >= _SHORTEST:
+            return ""
+        return (
+            f"weight and inertia would be those of a pendulum of {1e3 * length:.2g} mm, "
+            "shorter than any segment"
+        )

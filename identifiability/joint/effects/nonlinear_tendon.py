@@ -25,7 +25,12 @@ class NonlinearTendon(Effect):
     title = "a tendon that stiffens with stretch"
     place = "series"
     linear = False
-    confused_with = ("series_tendon", "hill_force_velocity", "maxwell_branch")
+    confused_with = (
+        "series_tendon",
+        "quadratic_stiffness",
+        "hill_force_velocity",
+        "maxwell_branch",
+    )
     refines = ("series_tendon",)
     parameters = (
         Parameter(

@@ -11,14 +11,19 @@ from jax.typing import ArrayLike
 from identifiability.joint.effects.base import Effect, Motion
 from identifiability.joint.parameters import Parameter
 
+_TINY = 1e-6  # share of the limit below which nothing yields: its logarithm stays finite
+
 
 class ShortRangeStiffness(Effect):
     r"""Elastic-plastic stiffness: elastic for small motion, yielding beyond it.
 
-    .. math:: T = K_s z, \qquad \dot z = \dot\theta - |\dot\theta|\, z / z_c - z/\tau_s
+    .. math:: T = K_s z, \qquad
+              \dot z = \dot\theta\,[1 - H(z \dot\theta)\,(|z| / z_c)^n] - r_s z
 
-    z is the stretch of the attached cross-bridges; it cannot pass z_c, and 1/tau_s is the rate at
-    which they renew at rest (0 in the plain form). It vanishes with K_s = 0.
+    z is the stretch of the attached cross-bridges. While it grows (H is the unit step) they yield,
+    the more suddenly the larger the sharpness n, and z cannot pass z_c; when the motion turns back
+    they are elastic again. r_s is the rate at which they renew at rest (0 in the plain form). It is
+    the hysteresis of Bouc and Wen with beta = gamma, and vanishes with K_s = 0.
     """
 
     key = "short_range_stiffness"
@@ -48,6 +53,16 @@ class ShortRangeStiffness(Effect):
             description="stretch at which it yields",
         ),
         Parameter(
+            "sharpness",
+            "n",
+            "1",
+            nominal=2.0,
+            lower=1.0,
+            upper=10.0,
+            plain=2.0,
+            description="suddenness of the yielding",
+        ),
+        Parameter(
             "renewal",
             r"r_\mathrm{s}",
             "1/s",
@@ -61,7 +76,7 @@ class ShortRangeStiffness(Effect):
     references = (
         "Rack & Westbury 1974, J Physiol 240: 331-350",
         "De Groote, Allen & Ting 2017, J Biomech 55: 71-77",
-        "Dahl 1968, A Solid Friction Model, Aerospace Corp. TOR-0158 (the elastic-plastic form)",
+        "Wen 1976, J Eng Mech Div ASCE 102: 249-263 (the elastic-plastic form)",
     )
 
     def torque(
@@ -72,5 +87,8 @@ class ShortRangeStiffness(Effect):
 
     def rates(self, p: Sequence[Array], motion: Motion, states: Array, delayed: Motion) -> Array:
         """Stretch of the cross-bridges."""
-        forgotten = jnp.abs(motion.velocity) / p[1] + p[2]
-        return jnp.reshape(motion.velocity - forgotten * states[0], (1,))
+        stretch = states[0]
+        # A step may end a little beyond the limit, from where it shall not be thrown back.
+        share = jnp.clip(jnp.abs(stretch) / p[1], _TINY, 1.0)
+        growing = jnp.where(stretch * motion.velocity > 0, motion.velocity, 0.0)
+        return jnp.reshape(motion.velocity - growing * share ** p[2] - p[3] * stretch, (1,))
