@@ -331,6 +331,33 @@ def test_a_segment_shorter_than_any_is_not_gravity():
 
 
 @pytest.mark.parametrize(
+    ("current", "floor", "mends"),
+    [
+        (0.001, 5e-4, True),  # more than noise is left with it
+        (0.001, 9.5e-4, False),  # only noise is left with it, and more without it
+        (0.001, 2e-3, True),  # only noise was left without it
+        (0.05, 5e-4, False),  # it removes about as much as those before it
+    ],
+)
+def test_a_further_effect_that_removes_little_may_only_mend_the_others(
+    current, floor, mends, monkeypatch
+):
+    def candidate(error, *keys):
+        model = KBI()
+        for key in keys:
+            model = model + EFFECTS[key]()
+        return Candidate(model, {}, (), Residual((), np.array([error]), 1.0), NOTHING)
+
+    searcher = Searcher(Workbench(gather(trials(KBI(), JOINT))))
+    monkeypatch.setattr(searcher, "_leaves_noise", lambda c: c.fitted.error <= floor)
+    searcher.baseline = candidate(0.1)
+    before, larger = candidate(current, "gravity"), candidate(9e-4, "gravity", "second_mass")
+    assert searcher._only_mends(larger, before) is mends
+    # The first effect has none before it that it could mend.
+    assert not searcher._only_mends(before, searcher.baseline)
+
+
+@pytest.mark.parametrize(
     ("exact", "rival_error", "objection", "member"),
     [
         (False, 0.0105, "", True),  # removes all but 0.6 % of what the effect removes

@@ -43,6 +43,7 @@ FORM = 0.01
 A further effect that removes less than this share of what those before it removed may only mend
 their equations, and a rival that removes all but this share is not excluded by it."""
 ONLY_MENDS = "may only mend the equations of the effects before it"
+_CONTENDS = 0.1  # share of what an effect removes, that a rival worth refining may leave
 _SCREENED = 6  # effects that are fitted at every step after the first
 # Share of the best gain at a glance, and least number, to be finished: at first, and later on,
 # when models take longer.
@@ -421,14 +422,16 @@ class Searcher:
     def _only_mends(self, candidate: Candidate, current: Candidate) -> bool:
         """Whether a further effect removes no more than inexact equations may leave.
 
-        It is believed all the same where nothing but noise is left with it: an effect that stands
-        for an error of form seldom fits that well.
+        It is believed all the same where nothing but noise is left with it, and more without it: an
+        effect that stands for an error of form seldom fits that well.
         """
         first = self.baseline
         if first is None or not set(first.keys) < set(current.keys) < set(candidate.keys):
             return False
         before, now, after = (pooled_error(c) for c in (first, current, candidate))
-        return now - after < FORM * (before - now) and not self._leaves_noise(candidate)
+        if now - after >= FORM * (before - now):
+            return False
+        return self._leaves_noise(current) or not self._leaves_noise(candidate)
 
     def _leaves_noise(self, candidate: Candidate) -> bool:
         evidence = self.bench.evidence
@@ -507,9 +510,16 @@ class Searcher:
         jobs = [(rest.model + self.library[other](), other) for other in likely]
         near = baseline if rest.failure else rest
         fitted = self._fit_all(f"in the place of {key}", jobs, near)
-        if key in current.refined:
-            # A rival to a refined effect is refined too, or the comparison is not fair.
-            fitted = [(other, self._richer(plain, other)) for other, plain in fitted]
+        # A rival to a refined effect is refined too, or the comparison is not fair; so is one that
+        # comes near in its plain form.
+        near_to = pooled_error(current)
+        near_to += _CONTENDS * (pooled_error(rest) - near_to)
+        fitted = [
+            (other, self._richer(plain, other))
+            if key in current.refined or pooled_error(plain) < near_to
+            else (other, plain)
+            for other, plain in fitted
+        ]
         best = _least([current, *(c for _, c in fitted)])
         out = [self._judge(other, c, current, best) for other, c in fitted]
         return sorted(out, key=lambda r: -r.evidence)
