@@ -19,7 +19,7 @@ from identifiability.investigation.candidates import (
     starting_values,
 )
 from identifiability.investigation.equivalence import equivalence_set
-from identifiability.investigation.evidence import gather
+from identifiability.investigation.evidence import Evidence, gather
 from identifiability.investigation.investigate import Investigation
 from identifiability.investigation.search import DECISIVE, Ranked, Search, Searcher
 from identifiability.joint.effects import EFFECTS
@@ -333,15 +333,19 @@ def test_a_segment_shorter_than_any_is_not_gravity():
 @pytest.mark.parametrize(
     ("current", "floor", "mends"),
     [
-        (0.001, 5e-4, True),  # more than noise is left with it
-        (0.001, 9.5e-4, False),  # only noise is left with it, and more without it
-        (0.001, 2e-3, True),  # only noise was left without it
+        (0.0015, 5e-4, True),  # more than noise is left with it
+        (0.0015, 9e-4, False),  # only noise is left with it, and clearly more without it
+        (0.0010, 9e-4, True),  # hardly more was left without it
         (0.05, 5e-4, False),  # it removes about as much as those before it
     ],
 )
 def test_a_further_effect_that_removes_little_may_only_mend_the_others(
     current, floor, mends, monkeypatch
 ):
+    # The floor is known within 5 %: half as much again is clearly above it, a tenth is not.
+    monkeypatch.setattr(Evidence, "noise_floor", lambda self, part=None: floor)
+    monkeypatch.setattr(Evidence, "floor_uncertainty", lambda self: 0.05)
+
     def candidate(error, *keys):
         model = KBI()
         for key in keys:
@@ -349,7 +353,6 @@ def test_a_further_effect_that_removes_little_may_only_mend_the_others(
         return Candidate(model, {}, (), Residual((), np.array([error]), 1.0), NOTHING)
 
     searcher = Searcher(Workbench(gather(trials(KBI(), JOINT))))
-    monkeypatch.setattr(searcher, "_leaves_noise", lambda c: c.fitted.error <= floor)
     searcher.baseline = candidate(0.1)
     before, larger = candidate(current, "gravity"), candidate(9e-4, "gravity", "second_mass")
     assert searcher._only_mends(larger, before) is mends

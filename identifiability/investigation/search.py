@@ -422,8 +422,8 @@ class Searcher:
     def _only_mends(self, candidate: Candidate, current: Candidate) -> bool:
         """Whether a further effect removes no more than inexact equations may leave.
 
-        It is believed all the same where nothing but noise is left with it, and more without it: an
-        effect that stands for an error of form seldom fits that well.
+        It is believed all the same where nothing but noise is left with it, and clearly more without
+        it: an effect that stands for an error of form seldom fits that well.
         """
         first = self.baseline
         if first is None or not set(first.keys) < set(current.keys) < set(candidate.keys):
@@ -431,15 +431,19 @@ class Searcher:
         before, now, after = (pooled_error(c) for c in (first, current, candidate))
         if now - after >= FORM * (before - now):
             return False
-        return self._leaves_noise(current) or not self._leaves_noise(candidate)
+        return self._near_noise(current, 2) or not self._leaves_noise(candidate)
 
     def _leaves_noise(self, candidate: Candidate) -> bool:
+        return self.at_floor(candidate) and self._near_noise(candidate)
+
+    def _near_noise(self, candidate: Candidate, margins: float = 1) -> bool:
+        """Whether the pooled error is within so many margins of the noise floor's uncertainty."""
         evidence = self.bench.evidence
         floor = evidence.noise_floor((*evidence.fitted, *evidence.held_out))
         if floor is None:
             return self.at_floor(candidate)
-        slack = 1 + min(3 * evidence.floor_uncertainty(), 0.3)
-        return self.at_floor(candidate) and pooled_error(candidate) <= floor * slack
+        margin = min(3 * evidence.floor_uncertainty(), 0.3)
+        return pooled_error(candidate) <= floor * (1 + margins * margin)
 
     def _matters(self, candidate: Candidate, current: Candidate) -> bool:
         """Whether an effect removes a fair share of the misfit that the model before left.
