@@ -422,8 +422,8 @@ class Searcher:
     def _only_mends(self, candidate: Candidate, current: Candidate) -> bool:
         """Whether a further effect removes no more than inexact equations may leave.
 
-        It is believed all the same where nothing but noise is left with it, and clearly more without
-        it: an effect that stands for an error of form seldom fits that well.
+        It is believed all the same where nothing but noise is left with it, and clearly more
+        without it: an effect that stands for an error of form seldom fits that well.
         """
         first = self.baseline
         if first is None or not set(first.keys) < set(current.keys) < set(candidate.keys):
