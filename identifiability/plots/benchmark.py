@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from identifiability.benchmark.score import Score
+from identifiability.benchmark.score import NAMING, Score
 from identifiability.joint.effects import EFFECTS
 from identifiability.plots.style import BLACK, styled
 
@@ -29,23 +29,24 @@ def confusion_figure(scores: Sequence[Score]) -> Figure:
     """
     pairs: list[tuple[str, str]] = []
     for s in scores:
-        left = [list(members) for members in s.named]
-        for hidden in s.truth or (s.kind,):
-            mine = next((m for m in left if hidden in m), None)
+        left = [list(members) for members in s.named] if s.verdict in NAMING else []
+        for truth in s.truth or (s.kind,):
+            mine = next((m for m in left if truth in m), None)
             if mine is not None:
                 left.remove(mine)
-                pairs.append((hidden, hidden))
+                pairs.append((truth, truth))
             elif left and len(left) >= len(s.truth or (s.kind,)):
-                pairs.append((hidden, left.pop(0)[0]))
+                pairs.append((truth, left.pop(0)[0]))
             else:
-                pairs.append((hidden, _NOTHING.get(s.verdict, "not named")))
+                pairs.append((truth, _NOTHING.get(s.verdict, "not named")))
     known = list(EFFECTS)
-    rows = [k for k in (*known, "none", "unrepeatable", "unknown") if any(p[0] == k for p in pairs)]
+    hidden = dict.fromkeys(p[0] for p in pairs)
+    rows = [k for k in known if k in hidden] + [k for k in hidden if k not in known]
     ends = ["not named", *dict.fromkeys(_NOTHING.values())]
     columns = [k for k in (*known, *ends) if any(p[1] == k for p in pairs)]
     counts = np.zeros((len(rows), len(columns)), int)
-    for hidden, named in pairs:
-        counts[rows.index(hidden), columns.index(named)] += 1
+    for truth, named in pairs:
+        counts[rows.index(truth), columns.index(named)] += 1
     with styled():
         figure = Figure(figsize=(0.5 * len(columns) + 3.6, 0.42 * len(rows) + 3.2))
         axes = figure.subplots()
