@@ -13,9 +13,10 @@ from identifiability.investigation.investigate import Investigation, investigate
 from identifiability.investigation.next_experiment import RESOLVED, Limits, next_experiment
 from identifiability.investigation.power import detectable
 from identifiability.investigation.record import investigation_record
+from identifiability.investigation.search import Ranked
 from identifiability.joint.effects import EFFECTS
 from identifiability.joint.model import KBI
-from identifiability.report.investigation import write_report
+from identifiability.report.investigation import _ranking_row, write_report
 
 SMALL = {k: EFFECTS[k] for k in ("quadratic_stiffness", "cubic_stiffness")}
 
@@ -105,6 +106,17 @@ def test_a_failed_candidate_is_shown_and_does_not_stop_the_rest(tmp_path):
     assert page.count("data:image/png;base64,") == len(figures)
     # Nothing is fetched from elsewhere.
     assert not re.search(r'(src|href)="(?!data:|#)', page)
+
+
+def test_a_number_without_unit_keeps_its_digits(quiet_study):
+    # The unit of such a number is "1", which is not to be taken off its end.
+    base = quiet_study.fit(KBI())
+    model = KBI() + EFFECTS["nonlinear_tendon"]()
+    own = dict(zip(model.parameter_names[3:], (150.0, 11.0, 0.51), strict=True))
+    found = replace(base, model=model, values=JOINT | own, free=model.parameter_names)
+    row = _ranking_row(Ranked("nonlinear_tendon", found, 12.0, 0.1, True, ""))
+    assert row[1] == "physics"
+    assert row[5] == "stiffness 150 Nm/rad, hardening 11 1/rad, asymmetry 0.51"
 
 
 def test_the_same_seed_gives_the_same_record():

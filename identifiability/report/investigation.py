@@ -10,7 +10,6 @@ from identifiability.files import write_text
 from identifiability.investigation.investigate import Findings
 from identifiability.investigation.pinned import interval, not_pinned_down
 from identifiability.investigation.search import DECISIVE, Ranked, Step
-from identifiability.joint.effects import EFFECTS
 from identifiability.plots.investigation import ladder_figure, ranking_figure, widths_figure
 from identifiability.plots.investigation_unexplained import unexplained_figure
 from identifiability.plots.investigation_where import (
@@ -249,14 +248,13 @@ def _ranking_table(page: Page, step: Step) -> None:
 
 
 def _ranking_row(r: Ranked) -> list[str]:
-    kind = "measurement" if r.key in EFFECTS and EFFECTS[r.key].place == "sensor" else "physics"
+    kind = next(effect.kind for effect in r.candidate.model.effects if effect.key == r.key)
     if r.candidate.failure:
         return [r.key.replace("_", " "), kind, "", "", "", "", f"no fit: {r.candidate.failure}"]
     parameters = r.candidate.model.parameters
     values = ", ".join(
-        f"{name.split('.')[1].replace('_', ' ')} {value:.3g} {parameters[name].unit}".rstrip(" 1")
-        if parameters[name].unit == "1"
-        else f"{name.split('.')[1].replace('_', ' ')} {value:.3g} {parameters[name].unit}"
+        f"{name.split('.')[1].replace('_', ' ')} {value:.3g}"
+        + (f" {parameters[name].unit}" if parameters[name].unit != "1" else "")
         for name, value in r.candidate.values.items()
         if name.startswith(f"{r.key}.") and name in r.candidate.free
     )
