@@ -18,6 +18,9 @@ from identifiability.joint.effects.base import Effect
 EXPLAINED_SHARE = 0.8
 """Share of the held-out misfit beyond the noise that named effects must remove to be called the
 explanation: a convention. Equations are never exact, so the floor itself is not asked for."""
+LINEAR_SHARE = 0.95
+"""The same where all of them are linear effects of the joint: a linear relation has a scale and a
+pace, but no shape that differs from muscle to muscle. Right to a fifth, it leaves 4 %."""
 NAMED_SHARE = 0.5
 """The same where the noise is unknown, and with it the misfit beyond the noise; and the share from
 which an effect that does not explain all is named at all."""
@@ -96,8 +99,10 @@ def judge(
     if not names:
         return _nothing_named(rest, quiet, because, smallest_seen)
     because += [*_reasons(evidence, search, sets, library), *_clue(search)]
-    enough = EXPLAINED_SHARE if evidence.has_noise else NAMED_SHARE
     measured = all(library[k].place == "sensor" for s in sets for k in s)
+    enough = EXPLAINED_SHARE if evidence.has_noise else NAMED_SHARE
+    if evidence.has_noise and final.model.linear and not measured:
+        enough = LINEAR_SHARE
     if not quiet and share is not None and share < enough:
         return _partly(rest, names, sets, share, because, library)
     if not quiet:

@@ -1,0 +1,134 @@
+"""Verdicts on constructed findings: what may be said, and no more."""
+
+import numpy as np
+import pytest
+from test_investigation import HELD, JOINT, trials
+
+from identifiability.investigation.candidates import Candidate, Residual
+from identifiability.investigation.evidence import gather
+from identifiability.investigation.power import Detectable
+from identifiability.investigation.search import Ranked, Search
+from identifiability.investigation.unexplained import Family, Unexplained
+from identifiability.investigation.verdict import (
+    EXPLAINED_SHARE,
+    KINDS,
+    LINEAR_SHARE,
+    NAMED_SHARE,
+    judge,
+)
+from identifiability.joint.effects import EFFECTS
+from identifiability.joint.model import KBI
+
+BEFORE = 0.1
+SEEN = (Detectable("gravity", "moment", 2.0, "Nm", "2 Nm"),)
+
+
+@pytest.fixture(scope="module")
+def evidence():
+    return gather(trials(KBI(), JOINT), trials(KBI(), JOINT, seed=9, conditions=HELD))
+
+
+def candidate(error, *keys):
+    model = KBI()
+    for key in keys:
+        model = model + EFFECTS[key]()
+    white = np.random.default_rng(1).standard_normal(500)
+    left = Residual((white,), np.array([error]), 500 * error)
+    return Candidate(model, JOINT, model.parameter_names, left, left)
+
+
+def left_over(kind, share=0.9, noise_ratio=1.0):
+    """A clear account of what is left; noise comes second, or a torque of each trial's own."""
+    second = "unrepeatable" if kind == "none" else "none"
+    families = [
+        Family(k, k, k, evidence, {}, {}, False) for k, evidence in ((kind, 0.0), (second, -1.0))
+    ]
+    return Unexplained(tuple(families), 1.0, share, (), noise_ratio)
+
+
+def verdict(evidence, keys, share, kind="static", *, rivals=None, noise_ratio=1.0):
+    """Verdict where effects remove a share of the misfit; rivals do as well as the model."""
+    floor = evidence.noise_floor(evidence.held_out)
+    after = BEFORE - share * (BEFORE - floor)
+    base, final = candidate(BEFORE), candidate(after, *keys)
+    alternatives = {
+        key: tuple(
+            Ranked(r, candidate(after, r), 0.0, 0.0, False, "") for r in (rivals or {}).get(key, ())
+        )
+        for key in keys
+    }
+    search = Search(
+        *(base, (), final, tuple((key, final) for key in keys), alternatives),
+        *(dict.fromkeys(keys, base), share == 1.0, 1 + len(keys), ""),
+    )
+    rest = left_over(kind, 0.0 if kind == "none" else 0.9, noise_ratio)
+    return judge(evidence, search, rest, SEEN, EFFECTS)
+
+
+def test_nothing_is_missing_where_only_noise_is_left(evidence):
+    found = verdict(evidence, (), 1.0, "none")
+    assert found.kind == "nothing_missing"
+    assert found.smallest_seen == SEEN
+    assert "2 Nm" in " ".join(found.because)
+
+
+@pytest.mark.parametrize(
+    ("kind", "expected"),
+    [
+        ("static", "unknown_static"),
+        ("hysteresis", "unknown_memory"),
+        ("memory", "unknown_memory"),
+        ("drift", "measurement"),
+        ("sensor", "measurement"),
+        ("unrepeatable", "unrepeatable"),
+    ],
+)
+def test_where_no_effect_is_admitted_the_kind_is_all_that_is_said(kind, expected, evidence):
+    found = verdict(evidence, (), 0.0, kind)
+    assert found.kind == expected
+    assert found.kind in KINDS
+    known = {"drift": (("sensor_drift",),), "sensor": (("sensor_delay", "sensor_lowpass"),)}
+    assert found.equivalence_sets == known.get(kind, ())
+
+
+def test_a_filter_that_leaves_more_than_noise_stands_for_something_else(evidence):
+    assert verdict(evidence, (), 0.0, "sensor", noise_ratio=3.0).kind != "measurement"
+
+
+@pytest.mark.parametrize(
+    ("keys", "share", "expected", "named"),
+    [
+        (("coulomb_friction",), EXPLAINED_SHARE + 0.01, "explained", True),
+        (("coulomb_friction",), EXPLAINED_SHARE - 0.01, "unknown_static", True),
+        (("coulomb_friction",), NAMED_SHARE - 0.01, "unknown_static", False),
+        # A linear relation has no shape that could be another.
+        (("second_mass",), LINEAR_SHARE + 0.01, "explained", True),
+        (("second_mass",), LINEAR_SHARE - 0.01, "unknown_static", True),
+        (("second_mass", "coulomb_friction"), LINEAR_SHARE - 0.01, "explained", True),
+        # But a drift of the recording has.
+        (("sensor_drift",), EXPLAINED_SHARE + 0.01, "measurement", True),
+    ],
+)
+def test_an_effect_explains_if_it_removes_enough(keys, share, expected, named, evidence):
+    found = verdict(evidence, keys, share)
+    assert (found.kind, bool(found.effects)) == (expected, named)
+    assert found.share == pytest.approx(share, abs=1e-3)
+
+
+def test_effects_that_do_as_well_are_named_together(evidence):
+    found = verdict(
+        evidence, ("cubic_stiffness",), 1.0, "none", rivals={"cubic_stiffness": ("gravity",)}
+    )
+    assert (found.kind, found.equivalence_sets) == ("one_of", (("cubic_stiffness", "gravity"),))
+    # Of one form are a tendon and a relaxing branch: that is one explanation.
+    found = verdict(evidence, ("maxwell_branch",), 1.0, "none")
+    assert found.kind == "explained"
+    assert found.equivalence_sets == (("series_tendon", "maxwell_branch"),)
+
+
+def test_joint_and_instruments_that_do_as_well_are_said_to_be_one_of_both(evidence):
+    found = verdict(
+        evidence, ("sensor_delay",), 1.0, "none", rivals={"sensor_delay": ("second_mass",)}
+    )
+    assert found.kind == "one_of"
+    assert "instruments" in found.sentence
