@@ -395,6 +395,14 @@ def test_inexact_equations_exclude_no_rival_that_comes_near(exact, rival_error, 
     assert ("cubic_stiffness" in equivalence_set("gravity", search, EFFECTS)) is member
 
 
+def test_what_answers_sooner_than_nerves_is_no_reflex():
+    model = KBI() + EFFECTS["stretch_reflex"]()
+    for delay, allowed in ((0.016, False), (0.02, True), (0.06, True)):
+        fitted = dict(zip(model.parameter_names, model.nominal, strict=True))
+        fitted["stretch_reflex.delay"] = delay
+        assert (model.objection(fitted) == "") is allowed
+
+
 # Scores
 
 

@@ -224,14 +224,13 @@ class Workbench:
         )
 
     def objection(self, candidate: Candidate) -> str:
-        """Why a candidate's parameters cannot be those of a joint; empty if they can.
-
-        Only where the joint moves freely: a motion that is imposed slowly tells little of the
-        inertia that the others are compared with.
-        """
-        if candidate.failure or self.evidence.driven == "angle":
+        """Why a candidate's parameters cannot be those of a joint; empty if they can."""
+        if candidate.failure:
             return ""
-        return candidate.model.objection(candidate.values)
+        values = dict(candidate.values)
+        if self.evidence.driven == "angle":
+            del values["I"]  # a motion that is imposed slowly tells little of it
+        return candidate.model.objection(values)
 
     def finish(self, glanced: Candidate) -> Candidate:
         """Carry a fit that was only glanced at to its end, from the best places it reached."""

@@ -379,12 +379,30 @@ class Searcher:
         shared = {name: value for name, value in near.values.items() if name in names}
         if len(shared) == len(names) and set(refined) != set(near.refined):
             return _refinements(model, near)
-        starts = starting_values(model, shared, most=2 if near.keys else 6)
-        if near.keys:
-            # With a second effect the first one may have to take another shape.
-            plain = {n: shared[n] for n in ("K", "B", "I")}
-            starts += starting_values(model, plain, most=1)
-        return starts
+        if not near.keys:
+            return starting_values(model, shared, most=6)
+        starts = starting_values(model, shared, most=2)
+        alone = self._alone([key for key in model.effect_keys if key not in near.keys])
+        if alone:
+            # A shape that served once is a better start than the nominal one.
+            starts[:1] = starting_values(model, shared | alone, most=1)
+        # With a second effect the first one may have to take another shape.
+        plain = {n: shared[n] for n in ("K", "B", "I")}
+        return starts + starting_values(model, plain, most=1)
+
+    def _alone(self, keys: Sequence[str]) -> dict[str, float]:
+        """Shapes that effects had when each was added to the baseline alone."""
+        base = () if self.baseline is None else self.baseline.keys
+        shapes: dict[str, float] = {}
+        for key in keys:
+            known = self.known.get((tuple(sorted((*base, key))), ()))
+            if known is not None and not known.failure:
+                shapes |= {
+                    name: value
+                    for name, value in known.values.items()
+                    if name.startswith(f"{key}.") and known.model.parameters[name].null is None
+                }
+        return shapes
 
     def _ranked(self, fitted: Iterable[tuple[str, Candidate]], current: Candidate) -> list[Ranked]:
         fitted = list(fitted)

@@ -140,7 +140,7 @@ class Model:
         )
 
     def objection(self, values: Mapping[str, float]) -> str:
-        """Why values of all parameters, by name, cannot be those of a joint; empty if they can."""
+        """Why values of parameters, by name, cannot be those of a joint; empty if they can."""
         return "; ".join(filter(None, (effect.objection(values) for effect in self.effects)))
 
     @property

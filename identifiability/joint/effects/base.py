@@ -117,7 +117,8 @@ class Effect(ABC):
         Parameters
         ----------
         values : mapping of str to float
-            All parameters of the model by their full names, ``K`` and ``gravity.moment`` say.
+            Parameters of the model by their full names, ``K`` and ``gravity.moment`` say; without
+            the inertia ``I`` where it may not be known.
 
         Returns
         -------

@@ -31,7 +31,12 @@ class ShortRangeStiffness(Effect):
     place = "muscle"
     linear = False
     n_states = 1
-    confused_with = ("coulomb_friction", "cubic_stiffness", "maxwell_branch")
+    confused_with = (
+        "coulomb_friction",
+        "hill_force_velocity",
+        "cubic_stiffness",
+        "maxwell_branch",
+    )
     parameters = (
         Parameter(
             "stiffness",

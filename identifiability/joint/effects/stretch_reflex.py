@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import jax.numpy as jnp
 from jax import Array
@@ -10,6 +10,11 @@ from jax.typing import ArrayLike
 
 from identifiability.joint.effects.base import Effect, Motion
 from identifiability.joint.parameters import Parameter
+
+_SHORTEST = 0.018
+"""Delay (s) below which there is no reflex of a limb: a fit that wants less wants a quicker effect.
+The arm's muscles begin to answer 20 ms after a stretch (Kurtzer 2015, Front Integr Neurosci 8:
+99)."""
 
 
 class StretchReflex(Effect):
@@ -62,7 +67,7 @@ class StretchReflex(Effect):
             "d",
             "s",
             nominal=0.04,
-            lower=0.02,
+            lower=0.015,
             upper=0.15,
             description="delay of the reflex loop: 20 ms in the arm, 40 in the leg, more if learnt",
         ),
@@ -156,3 +161,10 @@ class StretchReflex(Effect):
     def delay(self, p: Sequence[Array]) -> ArrayLike:
         """Delay [s] of the reflex loop."""
         return p[2]
+
+    def objection(self, values: Mapping[str, float]) -> str:
+        """Whether the delay would be shorter than nerves and muscle allow."""
+        delay = values["stretch_reflex.delay"]
+        if delay >= _SHORTEST:
+            return ""
+        return f"a delay of {1e3 * delay:.3g} ms would be shorter than that of any reflex of a limb"
