@@ -224,13 +224,14 @@ class Workbench:
         )
 
     def objection(self, candidate: Candidate) -> str:
-        """Why a candidate's parameters cannot be those of a joint; empty if they can."""
-        if candidate.failure:
+        """Why a candidate's parameters cannot be those of a joint; empty if they can.
+
+        Only where the joint moves freely, so that inertia and delays show in the motion itself. Of
+        an imposed motion they may be anywhere on a ridge, and nothing is held against them.
+        """
+        if candidate.failure or self.evidence.driven == "angle":
             return ""
-        values = dict(candidate.values)
-        if self.evidence.driven == "angle":
-            del values["I"]  # a motion that is imposed slowly tells little of it
-        return candidate.model.objection(values)
+        return candidate.model.objection(candidate.values)
 
     def finish(self, glanced: Candidate) -> Candidate:
         """Carry a fit that was only glanced at to its end, from the best places it reached."""

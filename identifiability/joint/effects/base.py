@@ -117,8 +117,7 @@ class Effect(ABC):
         Parameters
         ----------
         values : mapping of str to float
-            Parameters of the model by their full names, ``K`` and ``gravity.moment`` say; without
-            the inertia ``I`` where it may not be known.
+            All parameters of the model by their full names, ``K`` and ``gravity.moment`` say.
 
         Returns
         -------

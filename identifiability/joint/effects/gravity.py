@@ -61,8 +61,6 @@ class Gravity(Effect):
 
     def objection(self, values: Mapping[str, float]) -> str:
         """Whether the segment would be too short for its inertia."""
-        if "I" not in values:
-            return ""
         length = _STANDARD_GRAVITY * values["I"] / max(values["gravity.moment"], 1e-12)
         if length >= _SHORTEST:
             return ""
