@@ -20,28 +20,20 @@ _NOTHING = {
     "": "no verdict",
 }
 
+_SURPLUS = "nothing more"
+
 
 def confusion_figure(scores: Sequence[Score]) -> Figure:
     """What was hidden against what was named first for it; cells hold numbers of effects.
 
     A hidden effect that is in one of the verdict's sets counts as named, even if another of the set
-    comes first.
+    comes first. What was named besides stands for the other hidden effects in turn, or for nothing.
     """
-    pairs: list[tuple[str, str]] = []
-    for s in scores:
-        left = [list(members) for members in s.named] if s.verdict in NAMING else []
-        for truth in s.truth or (s.kind,):
-            mine = next((m for m in left if truth in m), None)
-            if mine is not None:
-                left.remove(mine)
-                pairs.append((truth, truth))
-            elif left and len(left) >= len(s.truth or (s.kind,)):
-                pairs.append((truth, left.pop(0)[0]))
-            else:
-                pairs.append((truth, _NOTHING.get(s.verdict, "not named")))
+    pairs = [pair for s in scores for pair in _pairs(s)]
     known = list(EFFECTS)
     hidden = dict.fromkeys(p[0] for p in pairs)
     rows = [k for k in known if k in hidden] + [k for k in hidden if k not in known]
+    rows.sort(key=lambda k: k == _SURPLUS)
     ends = ["not named", *dict.fromkeys(_NOTHING.values())]
     columns = [k for k in (*known, *ends) if any(p[1] == k for p in pairs)]
     counts = np.zeros((len(rows), len(columns)), int)
@@ -61,3 +53,20 @@ def confusion_figure(scores: Sequence[Score]) -> Figure:
         axes.set_xlabel("named (the hidden effect, if it is in the verdict's set)")
         axes.set_ylabel("hidden")
     return figure
+
+
+def _pairs(score: Score) -> list[tuple[str, str]]:
+    """Hidden effect and name given to it, for all that is hidden or named in a case."""
+    left = [list(members) for members in score.named] if score.verdict in NAMING else []
+    pairs, missed = [], []
+    for truth in score.truth or (score.kind,):
+        mine = next((m for m in left if truth in m), None)
+        if mine is None:
+            missed.append(truth)
+        else:
+            left.remove(mine)
+            pairs.append((truth, truth))
+    for truth in missed:
+        named = left.pop(0)[0] if left else _NOTHING.get(score.verdict, "not named")
+        pairs.append((truth, named))
+    return pairs + [(_SURPLUS, members[0]) for members in left]

@@ -1,0 +1,88 @@
+"""The benchmark's record, its page and what the README quotes of them."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from identifiability.benchmark.cases import hidden_cases
+from identifiability.benchmark.page import page, summary
+from identifiability.benchmark.run import WHOLE, score
+from identifiability.benchmark.score import NAMING, Score
+from identifiability.plots.benchmark import confusion_figure
+
+ROOT = Path(__file__).parents[1]
+RESULTS = ROOT / "results"
+
+
+@pytest.fixture(scope="module")
+def record():
+    return json.loads((RESULTS / "investigation.json").read_text(encoding="utf-8"))
+
+
+@pytest.fixture(scope="module")
+def scores(record):
+    return [Score.from_dict(case) for case in record["cases"]]
+
+
+def test_the_page_is_that_of_the_record(record):
+    assert (RESULTS / "investigation.md").read_bytes() == page(record).encode()
+
+
+def test_the_rates_are_those_of_the_cases(record, scores):
+    again = summary(scores, seed=record["seed"], tried=record["cases_in_tiers"])
+    assert json.loads(json.dumps(again)) == record | {"package": again["package"]}
+
+
+def test_the_cases_are_those_of_the_tiers(record, scores):
+    specs = {(t, s.name) for t in WHOLE for s in hidden_cases(t, record["seed"])}
+    assert {(s.tier, s.name) for s in scores} <= specs
+    assert record["cases_in_tiers"] == len(specs)
+    assert {s.tier for s in scores} == set(WHOLE)
+
+
+def test_the_figure_counts_every_hidden_effect(scores):
+    drawn = confusion_figure(scores).axes[0].texts
+    named = [len(s.named) if s.verdict in NAMING else 0 for s in scores]
+    expected = sum(max(1, len(s.truth), n) for s, n in zip(scores, named, strict=True))
+    assert sum(int(t.get_text()) for t in drawn) == expected
+    assert (RESULTS / "investigation" / "confusion.png").stat().st_size > 10_000
+
+
+def test_the_readme_quotes_the_page(record):
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    table = [line for line in page(record).splitlines() if line.startswith("|")]
+    for line in table[: 2 + len(record["tiers"])]:
+        assert line in readme
+    assert f"{record['cases_run']} of {record['cases_in_tiers']} cases" in readme
+
+
+def test_the_figure_has_a_row_for_what_no_effect_of_the_library_is():
+    case = Score(
+        *("a", "unknown", "unknown", ("backlash",), False, 1e-4, "explained"),
+        *((("second_mass",),), "wrong", None, 0.9, 10.0),
+    )
+    axes = confusion_figure([case]).axes[0]
+    assert [t.get_text() for t in axes.get_yticklabels()] == ["backlash"]
+    assert [t.get_text() for t in axes.get_xticklabels()] == ["second mass"]
+    # What is named beyond what is hidden is shown too.
+    two = replace(case, named=(("second_mass",), ("gravity",)))
+    axes = confusion_figure([two]).axes[0]
+    assert [t.get_text() for t in axes.get_yticklabels()] == ["backlash", "nothing more"]
+
+
+@pytest.mark.parametrize("name", ["controls-00-white", "singles-00-series_tendon"])
+def test_a_case_is_scored_as_recorded(name, record, scores):
+    tier = name.split("-")[0]
+    spec = next(s for s in hidden_cases(tier, record["seed"]) if s.name == name)
+    published = next(s for s in scores if s.name == name)
+    ours = score(tier, spec)
+    assert (ours.verdict, ours.named, ours.outcome) == (
+        published.verdict,
+        published.named,
+        published.outcome,
+    )
+    for (key, *errors), (expected, *others) in zip(ours.rungs, published.rungs, strict=True):
+        assert key == expected
+        assert errors == pytest.approx(others, rel=1e-3)
