@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from identifiability.investigation.candidates import difference, effective_samples
-from identifiability.investigation.search import DECISIVE, FORM, Search, pooled_error
+from identifiability.investigation.search import DECISIVE, FORM, Ranked, Search, pooled_error
 from identifiability.joint.effects.base import Effect
 
 
@@ -34,12 +34,10 @@ def equivalence_set(key: str, search: Search, library: Mapping[str, type[Effect]
         Best first.
     """
     members, final = [], search.final
-    mine, before = pooled_error(final), pooled_error(search.without[key])
-    inexact = 0.0 if search.exact or not np.isfinite(before) else FORM * (before - mine)
     for r in search.alternatives[key]:
         if r.candidate.failure or r.objection or key in library[r.key].refines:
             continue
-        if pooled_error(r.candidate) - mine < inexact:
+        if comes_near(key, r, search):
             members.append(r.key)
             continue
         moved = difference(final.fitted, r.candidate.fitted)
@@ -58,6 +56,17 @@ def equivalence_set(key: str, search: Search, library: Mapping[str, type[Effect]
     order = list(library)
     first = min([key, *alike], key=order.index)
     return [first, *(k for k in found if k != first)]
+
+
+def comes_near(key: str, rival: Ranked, search: Search) -> bool:
+    """Whether a rival leaves so little more than an effect that inexact equations hide which it is.
+
+    Where the final model leaves only noise its equations are as good as exact, and hide nothing.
+    """
+    mine, before = pooled_error(search.final), pooled_error(search.without[key])
+    if search.exact or not np.isfinite(before):
+        return False
+    return pooled_error(rival.candidate) - mine < FORM * (before - mine)
 
 
 def same_form(keys: Sequence[str], library: Mapping[str, type[Effect]]) -> bool:

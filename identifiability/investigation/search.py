@@ -83,6 +83,11 @@ class Ranked:
     reason: str
     objection: str = ""
 
+    @property
+    def kind(self) -> str:
+        """Whether the effect is in the joint or in the instruments."""
+        return _effect_of(self.candidate.model, self.key).kind
+
 
 @dataclass(frozen=True, eq=False)
 class Step:
@@ -393,16 +398,18 @@ class Searcher:
     def _alone(self, keys: Sequence[str]) -> dict[str, float]:
         """Shapes that effects had when each was added to the baseline alone."""
         base = () if self.baseline is None else self.baseline.keys
-        shapes: dict[str, float] = {}
-        for key in keys:
-            known = self.known.get((tuple(sorted((*base, key))), ()))
-            if known is not None and not known.failure:
-                shapes |= {
-                    name: value
-                    for name, value in known.values.items()
-                    if name.startswith(f"{key}.") and known.model.parameters[name].null is None
-                }
-        return shapes
+        return {
+            name: value
+            for key in keys
+            if (found := self._fitted_alone(key, base)) is not None
+            for name, value in found.values.items()
+            if name.startswith(f"{key}.") and found.model.parameters[name].null is None
+        }
+
+    def _fitted_alone(self, key: str, base: Sequence[str]) -> Candidate | None:
+        """Plain fit of one effect added to the baseline's, if there was one."""
+        found = self.known.get((tuple(sorted((*base, key))), ()))
+        return None if found is None or found.failure else found
 
     def _ranked(self, fitted: Iterable[tuple[str, Candidate]], current: Candidate) -> list[Ranked]:
         fitted = list(fitted)
@@ -561,8 +568,7 @@ class Searcher:
         alone = {
             k: c.fitted.weighted
             for k in self.library
-            if (c := self.known.get((tuple(sorted((*baseline.keys, k))), ()))) is not None
-            and not c.failure
+            if (c := self._fitted_alone(k, baseline.keys)) is not None
         }
         by_merit = sorted(alone, key=alone.__getitem__)
         order = [*self.library[key].confused_with, *by_merit] if key in self.library else by_merit

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from identifiability.investigation.candidates import Candidate, effective_samples
-from identifiability.investigation.equivalence import equivalence_set, same_form
+from identifiability.investigation.equivalence import comes_near, equivalence_set, same_form
 from identifiability.investigation.evidence import Evidence
 from identifiability.investigation.power import Detectable
 from identifiability.investigation.search import DECISIVE, FORM, ONLY_MENDS, Search
@@ -277,12 +277,17 @@ def _reasons(
                 f"{_plain(members[0]).capitalize()} and {_plain(same[0])} are of one form: torque "
                 "and angle can never tell them apart."
             )
-        near = [r.key for r in alike if abs(r.evidence) > DECISIVE and r.key not in same]
-        if near and not search.exact and evidence.has_noise:
+        near = [
+            r.key
+            for r in alike
+            if comes_near(chosen, r, search) and abs(r.evidence) > DECISIVE and r.key not in same
+        ]
+        if near and evidence.has_noise:
             out.append(
-                f"In the place of {_plain(members[0])}, {_list([_plain(k) for k in near])} leaves "
-                f"the same but for {100 * FORM:.0f} % of what it removes: equations that are right "
-                "to a tenth do not tell them apart."
+                f"In the place of {_plain(members[0])} there may be "
+                f"{_list([_plain(k) for k in near])}: what is left is the same but for "
+                f"{100 * FORM:.0f} % of what it removes, and equations that are right to a tenth "
+                "do not tell them apart."
             )
     return out
 

@@ -12,7 +12,6 @@ from matplotlib.patches import Patch
 from identifiability.inference.widths import Widths
 from identifiability.investigation.investigate import Findings
 from identifiability.investigation.search import DECISIVE, Step
-from identifiability.joint.effects import EFFECTS
 from identifiability.plots.style import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILLION, styled
 
 _FEWEST = 1.0  # evidence below it is drawn at this length: the axis is logarithmic
@@ -37,8 +36,7 @@ def ranking_figure(step: Step, members: Sequence[str] = ()) -> Figure:
         figure = Figure(figsize=(9.0, 0.36 * len(step.ranking) + 1.9))
         axes = figure.subplots()
         for row, r in enumerate(ranked):
-            measured = r.key in EFFECTS and EFFECTS[r.key].place == "sensor"
-            colour = ORANGE if measured else BLUE
+            colour = ORANGE if r.kind == "measurement" else BLUE
             axes.barh(
                 row,
                 max(r.evidence, _FEWEST),

@@ -248,9 +248,8 @@ def _ranking_table(page: Page, step: Step) -> None:
 
 
 def _ranking_row(r: Ranked) -> list[str]:
-    kind = next(effect.kind for effect in r.candidate.model.effects if effect.key == r.key)
     if r.candidate.failure:
-        return [r.key.replace("_", " "), kind, "", "", "", "", f"no fit: {r.candidate.failure}"]
+        return [r.key.replace("_", " "), r.kind, "", "", "", "", f"no fit: {r.candidate.failure}"]
     parameters = r.candidate.model.parameters
     values = ", ".join(
         f"{name.split('.')[1].replace('_', ' ')} {value:.3g}"
@@ -266,7 +265,7 @@ def _ranking_row(r: Ranked) -> list[str]:
         remarks.append(f"at a bound: {', '.join(n.split('.')[1].replace('_', ' ') for n in own)}")
     return [
         r.key.replace("_", " "),
-        kind,
+        r.kind,
         f"{r.evidence:.1f}",
         f"{r.candidate.fitted.error:.3g}",
         f"{r.candidate.held_out.error:.3g}" if r.candidate.held_out.by_trial else "",
