@@ -5,7 +5,7 @@ from functools import partial
 import jax
 import numpy as np
 
-from identifiability.joint.effects import EFFECTS
+from identifiability.joint.effects import EFFECTS, RelaxationSpectrum
 from identifiability.joint.effects.base import Effect
 from identifiability.joint.integrator import integrate
 from identifiability.joint.parameters import Parameter
@@ -29,7 +29,7 @@ class ParallelSpring(Effect):
         return p[0] * motion.angle
 
 
-KINDS = EFFECTS | {ParallelSpring.key: ParallelSpring}
+KINDS = EFFECTS | {kind.key: kind for kind in (RelaxationSpectrum, ParallelSpring)}
 LINEAR = [key for key in sorted(KINDS) if KINDS[key].linear]
 
 # All runs have this many samples and go in batches of this size: two compilations for each model.

@@ -7,7 +7,7 @@ from test_investigation import HELD, JOINT, trials
 from identifiability.investigation.candidates import Candidate, Residual
 from identifiability.investigation.evidence import gather
 from identifiability.investigation.power import Detectable
-from identifiability.investigation.search import Ranked, Search
+from identifiability.investigation.search import ONLY_MENDS, Ranked, Search, Step
 from identifiability.investigation.unexplained import Family, Unexplained
 from identifiability.investigation.verdict import (
     EXPLAINED_SHARE,
@@ -16,7 +16,7 @@ from identifiability.investigation.verdict import (
     NAMED_SHARE,
     judge,
 )
-from identifiability.joint.effects import EFFECTS
+from identifiability.joint.effects import EFFECTS, RelaxationSpectrum
 from identifiability.joint.model import KBI
 
 BEFORE = 0.1
@@ -46,7 +46,17 @@ def left_over(kind, share=0.9, noise_ratio=1.0):
     return Unexplained(tuple(families), 1.0, share, (), noise_ratio)
 
 
-def verdict(evidence, keys, share, kind="static", *, rivals=None, noise_ratio=1.0):
+def verdict(
+    evidence,
+    keys,
+    share,
+    kind="static",
+    *,
+    rivals=None,
+    refused=(),
+    passive=None,
+    noise_ratio=1.0,
+):
     """Verdict where effects remove a share of the misfit; rivals do as well as the model."""
     floor = evidence.noise_floor(evidence.held_out)
     after = BEFORE - share * (BEFORE - floor)
@@ -58,8 +68,16 @@ def verdict(evidence, keys, share, kind="static", *, rivals=None, noise_ratio=1.
         for key in keys
     }
     search = Search(
-        *(base, (), final, tuple((key, final) for key in keys), alternatives),
-        *(dict.fromkeys(keys, base), share == 1.0, 1 + len(keys), ""),
+        baseline=base,
+        steps=(Step(final, tuple(refused), ""),),
+        final=final,
+        ladder=tuple((key, final) for key in keys),
+        alternatives=alternatives,
+        without=dict.fromkeys(keys, base),
+        passive=passive,
+        exact=share == 1.0,
+        n_fits=1 + len(keys),
+        ended="",
     )
     rest = left_over(kind, 0.0 if kind == "none" else 0.9, noise_ratio)
     return judge(evidence, search, rest, SEEN, EFFECTS)
@@ -132,3 +150,54 @@ def test_joint_and_instruments_that_do_as_well_are_said_to_be_one_of_both(eviden
     )
     assert found.kind == "one_of"
     assert "instruments" in found.sentence
+
+
+@pytest.mark.parametrize("keys", [(), ("coulomb_friction",)])
+@pytest.mark.parametrize(
+    ("reason", "objection", "said"),
+    [
+        ("a delay of 15 ms would be short", "a delay of 15 ms would be short", "a delay of 15 ms"),
+        (ONLY_MENDS, "", "at most a clue"),
+        # What the data do not ask for is not worth a word, possible or not.
+        ("no decisive evidence", "a delay of 15 ms would be short", ""),
+        ("no decisive evidence", "", ""),
+    ],
+)
+def test_what_was_refused_for_its_values_or_its_size_is_said(
+    keys, reason, objection, said, evidence
+):
+    rank = Ranked("stretch_reflex", candidate(0.01), 50.0, 1.0, False, reason, objection)
+    because = " ".join(verdict(evidence, keys, 0.9, refused=[rank]).because)
+    assert ("With stretch reflex too, E would fall to 0.01" in because) == bool(said)
+    assert said in because
+
+
+@pytest.mark.parametrize(
+    ("against", "kind"),
+    [(20.0, "unknown_memory"), (-9.0, "unknown_memory"), (-11.0, "explained")],
+)
+def test_two_mechanisms_that_relaxation_can_stand_for_are_not_named(against, kind, evidence):
+    keys = ("maxwell_branch", "stretch_reflex", "coulomb_friction")
+    model = KBI() + EFFECTS["coulomb_friction"]() + RelaxationSpectrum()
+    values = dict(zip(model.parameter_names, model.nominal, strict=True))
+    values |= {"K": 30.0, "relaxation_spectrum.stiffness_3": 0.0}
+    left = candidate(0.001).fitted
+    passive = Ranked(
+        "relaxation_spectrum",
+        Candidate(model, values, model.parameter_names, left, left),
+        *(against, 0.0, False, ""),
+    )
+    found = verdict(evidence, keys, 1.0, "none", passive=passive)
+    assert found.kind == kind
+    if kind == "unknown_memory":
+        assert not found.effects
+        assert "maxwell branch and stretch reflex together" in found.sentence
+        assert "misses coulomb friction" in found.sentence
+        # The third branch has no stiffness: there are two paces.
+        assert "7 and 50 ms" in " ".join(found.because)
+
+
+def test_what_each_of_several_effects_removes_is_said(evidence):
+    found = verdict(evidence, ("stretch_reflex", "series_tendon"), 0.9)
+    assert any("stretch reflex 90.0 %; series tendon 0.0 %" in line for line in found.because)
+    assert not any("in turn" in s for s in verdict(evidence, ("gravity",), 0.9).because)

@@ -24,7 +24,7 @@ from identifiability.investigation.candidates import (
     starting_values,
 )
 from identifiability.investigation.evidence import DISCREPANCY
-from identifiability.joint.effects import EFFECTS, Effect
+from identifiability.joint.effects import EFFECTS, Effect, RelaxationSpectrum
 from identifiability.joint.model import KBI, Model
 
 DECISIVE = 10.0
@@ -128,6 +128,9 @@ class Search:
         against the final model.
     without : dict of str to Candidate
         For each effect of the final model, the model without it.
+    passive : Ranked or None
+        Relaxation at several paces in the place of all effects with memory, where these are several
+        and may be no more than that together; evidence is against the final model.
     exact : bool
         Whether the final model leaves no more than noise.
     n_fits : int
@@ -142,9 +145,15 @@ class Search:
     ladder: tuple[tuple[str, Candidate], ...]
     alternatives: dict[str, tuple[Ranked, ...]]
     without: dict[str, Candidate]
+    passive: Ranked | None
     exact: bool
     n_fits: int
     ended: str
+
+    @property
+    def only_relaxes(self) -> bool:
+        """Whether relaxation at several paces does as well as the effects with memory together."""
+        return self.passive is not None and self.passive.evidence > -DECISIVE
 
 
 def evidence_for(larger: Candidate, smaller: Candidate, best: Candidate) -> float:
@@ -242,6 +251,7 @@ class Searcher:
             ladder,
             alternatives,
             without,
+            self._passive(current, baseline),
             self._leaves_noise(current),
             len(self.known),
             ended,
@@ -627,6 +637,21 @@ class Searcher:
             rungs.append((key, below))
             left.remove(key)
         return tuple(rungs)
+
+    def _passive(self, final: Candidate, baseline: Candidate) -> Ranked | None:
+        """Relaxation at several paces in the place of all effects with memory, if several."""
+        memory = [e.key for e in final.model.effects if e.has_memory and e.key not in baseline.keys]
+        if len(memory) < 2:
+            return None
+        model, near = final.model, baseline
+        for key in memory:
+            model = model.without(key)
+        if model.effect_keys != baseline.keys:
+            near = self.fit(model, baseline, refined=final.refined)
+        spectrum = RelaxationSpectrum()
+        self.progress("relaxation at several paces", 1, 1)
+        found = self.fit(model + spectrum, near, refined=final.refined)
+        return self._judge(spectrum.key, found, final, _least([final, found]))
 
     def _alternatives(
         self,

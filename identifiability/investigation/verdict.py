@@ -11,7 +11,7 @@ from identifiability.investigation.candidates import Candidate, effective_sample
 from identifiability.investigation.equivalence import comes_near, equivalence_set, same_form
 from identifiability.investigation.evidence import Evidence
 from identifiability.investigation.power import Detectable
-from identifiability.investigation.search import DECISIVE, FORM, ONLY_MENDS, Search
+from identifiability.investigation.search import DECISIVE, FORM, ONLY_MENDS, Ranked, Search
 from identifiability.investigation.unexplained import Unexplained
 from identifiability.joint.effects.base import Effect
 
@@ -94,11 +94,13 @@ def judge(
     sets = tuple(tuple(equivalence_set(key, search, library)) for key in search.alternatives)
     names = tuple(s[0] for s in sets)
     share = _share(evidence, baseline, final)
-    because = [_errors(evidence, baseline, final)]
+    because = [_errors(evidence, baseline, final), *_one_by_one(evidence, search)]
     quiet = _quiet(evidence, final, rest)
+    because += [*_reasons(evidence, search, sets, library), *_clue(search)]
+    if search.passive is not None and search.only_relaxes:
+        return _only_relaxes(search.passive, search, share, because)
     if not names:
         return _nothing_named(rest, quiet, because, smallest_seen)
-    because += [*_reasons(evidence, search, sets, library), *_clue(search)]
     measured = all(library[k].place == "sensor" for s in sets for k in s)
     enough = EXPLAINED_SHARE if evidence.has_noise else NAMED_SHARE
     if evidence.has_noise and final.model.linear and not measured:
@@ -176,6 +178,37 @@ def _partly(
     return Verdict(_unknown_kind(rest), names, sets, sentence, tuple(because), share)
 
 
+def _only_relaxes(
+    passive: Ranked, search: Search, share: float | None, because: list[str]
+) -> Verdict:
+    """Verdict where what was found need be no more than relaxation at several paces."""
+    others = passive.candidate.model.effect_keys
+    replaced = [k for k in search.alternatives if k not in others]
+    beside = [_plain(k) for k in search.alternatives if k in others]
+    values = passive.candidate.values
+    paces = [
+        f"{1e3 * values[name]:.3g}"
+        for name in values
+        if name.startswith(f"{passive.key}.time_constant")
+        and values[name.replace("time_constant", "stiffness")] > _TRACE * values["K"]
+    ]
+    together = _list([_plain(k) for k in replaced])
+    rival = passive.candidate
+    held = f" and {rival.held_out.error:.3g} on those held out" if rival.held_out.by_trial else ""
+    because.append(
+        f"With relaxation in {_list(paces)} ms in the place of {together}, E is "
+        f"{rival.fitted.error:.3g} on the fitted trials{held}."
+    )
+    sentence = (
+        "Something with memory is missing, and it need be none of the effects known here: a joint "
+        f"that relaxes at several paces does as well as {together} together, and such are soft "
+        "tissue and fractional damping."
+    )
+    if beside:
+        sentence += f" Beside it the model misses {_list(beside)}."
+    return Verdict("unknown_memory", (), (), sentence, tuple(because), share)
+
+
 def _unknown_kind(rest: Unexplained) -> str:
     """Kind of verdict where no effect that is known explains the misfit."""
     kind = rest.best.kind
@@ -228,6 +261,24 @@ def _errors(evidence: Evidence, baseline: Candidate, final: Candidate) -> str:
         f"trials and from {baseline.held_out.error:.3g} to {final.held_out.error:.3g} on those "
         f"held out{noise}."
     )
+
+
+def _one_by_one(evidence: Evidence, search: Search) -> list[str]:
+    """What each of several effects removes, in the order of the error ladder."""
+    if len(search.ladder) < 2:
+        return []
+    rungs = [(key, _share(evidence, search.baseline, model)) for key, model in search.ladder]
+    removed, said = 0.0, []
+    for key, share in rungs:
+        if share is None:
+            return []
+        said.append(f"{_plain(key)} {100 * (share - removed):.1f} %")
+        removed = share
+    trials = "held-out" if evidence.held_out else "fitted"
+    noise = " beyond the noise" if evidence.has_noise else ""
+    return [
+        f"Of the misfit of the {trials} trials{noise}, each removes in turn: {'; '.join(said)}."
+    ]
 
 
 def _reasons(
@@ -296,11 +347,14 @@ def _clue(search: Search) -> list[str]:
     """What would lower the error a little more, and is not named."""
     ranking = next((s.ranking for s in search.steps[-1:] if s.before is search.final), ())
     for r in ranking:
+        lower = f"With {_plain(r.key)} too, E would fall to {r.candidate.fitted.error:.3g}"
         if r.reason == ONLY_MENDS:
             return [
-                f"With {_plain(r.key)} too, E would fall to {r.candidate.fitted.error:.3g}; but "
-                "equations that are right to a tenth leave as much, so that this is at most a clue."
+                f"{lower}; but equations that are right to a tenth leave as much, so that this is "
+                "at most a clue."
             ]
+        if r.objection and r.reason == r.objection:
+            return [f"{lower}; but {r.objection}, so that it would stand for something else."]
     return []
 
 

@@ -9,6 +9,7 @@ from identifiability.joint.effects.hill_force_velocity import HillForceVelocity
 from identifiability.joint.effects.maxwell_branch import MaxwellBranch
 from identifiability.joint.effects.nonlinear_tendon import NonlinearTendon
 from identifiability.joint.effects.quadratic_stiffness import QuadraticStiffness
+from identifiability.joint.effects.relaxation_spectrum import RelaxationSpectrum
 from identifiability.joint.effects.second_mass import SecondMass
 from identifiability.joint.effects.sensor_delay import SensorDelay
 from identifiability.joint.effects.sensor_drift import SensorDrift
@@ -50,6 +51,7 @@ __all__ = [
     "Motion",
     "NonlinearTendon",
     "QuadraticStiffness",
+    "RelaxationSpectrum",
     "SecondMass",
     "SensorDelay",
     "SensorDrift",

@@ -131,6 +131,11 @@ class Effect(ABC):
         """Whether the effect is in the joint or in the instruments."""
         return "measurement" if self.place == "sensor" else "physics"
 
+    @property
+    def has_memory(self) -> bool:
+        """Whether its torque depends on the past of the joint's motion."""
+        return self.place == "series" or self.n_states > 0
+
     def __eq__(self, other: object) -> bool:
         return type(self) is type(other)
 
