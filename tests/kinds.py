@@ -5,7 +5,7 @@ from functools import partial
 import jax
 import numpy as np
 
-from identifiability.joint.effects import EFFECTS, RelaxationSpectrum
+from identifiability.joint.effects import EFFECTS, RelaxationSpectrum, StiffeningHysteresis
 from identifiability.joint.effects.base import Effect
 from identifiability.joint.integrator import integrate
 from identifiability.joint.parameters import Parameter
@@ -29,7 +29,9 @@ class ParallelSpring(Effect):
         return p[0] * motion.angle
 
 
-KINDS = EFFECTS | {kind.key: kind for kind in (RelaxationSpectrum, ParallelSpring)}
+KINDS = EFFECTS | {
+    kind.key: kind for kind in (RelaxationSpectrum, StiffeningHysteresis, ParallelSpring)
+}
 LINEAR = [key for key in sorted(KINDS) if KINDS[key].linear]
 
 # All runs have this many samples and go in batches of this size: two compilations for each model.
@@ -54,6 +56,7 @@ GENERIC = {
     "sensor_drift": {"bend": 0.1},
     "sensor_lowpass": {"shape": 0.3},
     "short_range_stiffness": {"renewal": 5.0, "sharpness": 3.0},
+    "stiffening_hysteresis": {"renewal": 5.0, "sharpness": 3.0, "reversal": -0.5},
     "stretch_reflex": {
         "asymmetry": 0.3,
         "threshold": 0.2,

@@ -22,7 +22,14 @@ from identifiability.investigation.equivalence import equivalence_set
 from identifiability.investigation.evidence import Evidence, gather
 from identifiability.investigation.investigate import Investigation
 from identifiability.investigation.search import DECISIVE, Ranked, Search, Searcher
-from identifiability.joint.effects import EFFECTS
+from identifiability.joint.effects import (
+    EFFECTS,
+    MaxwellBranch,
+    RelaxationSpectrum,
+    SecondMass,
+    ShortRangeStiffness,
+    StiffeningHysteresis,
+)
 from identifiability.joint.effects.base import Effect
 from identifiability.joint.model import KBI
 from identifiability.joint.parameters import Parameter
@@ -249,6 +256,46 @@ def test_the_plainest_is_taken_only_where_all_may_be_error_of_measurement(
     assert searcher._choose([]) == ""
 
 
+TWO_RELAX = {
+    "relaxation_spectrum.stiffness_1": 40.0,
+    "relaxation_spectrum.time_constant_1": 0.008,
+    "relaxation_spectrum.stiffness_3": 30.0,
+    "relaxation_spectrum.time_constant_3": 0.2,
+}
+WOBBLES = {
+    "maxwell_branch.stiffness": 40.0,
+    "maxwell_branch.time_constant": 0.03,
+    "second_mass.inertia": 0.05,
+    "second_mass.frequency": 8.0,
+}
+TURNS = {f"stiffening_hysteresis.{k}": v for k, v in {"stiffness": 30.0, "reversal": -3.0}.items()}
+YIELDS = {"short_range_stiffness.stiffness": 30.0}
+
+
+@pytest.mark.parametrize(
+    ("true", "values", "believed", "stands"),
+    [
+        ((RelaxationSpectrum,), TWO_RELAX, ("maxwell_branch", "second_mass"), True),
+        ((MaxwellBranch, SecondMass), WOBBLES, ("maxwell_branch", "second_mass"), False),
+        ((StiffeningHysteresis,), TURNS, ("short_range_stiffness",), True),
+        ((ShortRangeStiffness,), YIELDS, ("short_range_stiffness",), None),
+        # One effect with memory is simpler than any description.
+        ((MaxwellBranch,), WOBBLES, ("maxwell_branch",), None),
+    ],
+)
+def test_what_names_no_mechanism_unmasks_those_that_stand_for_it(true, values, believed, stands):
+    model = sum((kind() for kind in true), KBI())
+    full = dict(zip(model.parameter_names, model.nominal, strict=True)) | JOINT
+    full |= {name: value for name, value in values.items() if name in full}
+    study = Investigation(trials(model, full), trials(model, full, seed=9, conditions=HELD))
+    searcher = Searcher(study.bench)
+    baseline = study.fit(KBI())
+    model = sum((EFFECTS[key]() for key in believed), KBI())
+    final = searcher.fit(model, baseline, refined=believed)
+    tried = searcher._descriptions(final, baseline)
+    assert [r.passes for r in tried] == ([] if stands is None else [stands])
+
+
 def test_where_the_model_without_an_effect_has_no_fit_its_rivals_are_fitted_all_the_same(
     monkeypatch,
 ):
@@ -388,7 +435,7 @@ def test_inexact_equations_exclude_no_rival_that_comes_near(exact, rival_error, 
         (),
         {"gravity": (ranked,)},
         {"gravity": before},
-        None,
+        (),
         exact,
         2,
         "",

@@ -223,10 +223,10 @@ class Investigation:
         seed: int = 1,
     ) -> NextExperiment | None:
         """Perturbation that would tell apart what these data cannot; ``None`` if none is open."""
-        if search.passive is not None and search.only_relaxes:
-            rival = search.passive.candidate
+        if search.description is not None:
+            rival = search.description.candidate
             replaced = [key for key in search.final.keys if key not in rival.keys]
-            pair = (" and ".join(replaced), search.passive.key)
+            pair = (" and ".join(replaced), search.description.key)
             return next_experiment(self.bench, search.final, rival, pair, limits=limits, seed=seed)
         for chosen, members in zip(search.alternatives, verdict.equivalence_sets, strict=False):
             for ranked in search.alternatives[chosen]:

@@ -90,7 +90,7 @@ def investigation_record(findings: Findings, *, command: str = "") -> dict[str, 
         "alternatives": {
             key: [_ranked(r) for r in ranked] for key, ranked in search.alternatives.items()
         },
-        "passive": None if search.passive is None else _ranked(search.passive),
+        "descriptions": [_ranked(r) for r in search.descriptions],
         "fits": search.n_fits,
         "ended": search.ended,
         "unexplained": {

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from identifiability.investigation.candidates import (
     starting_values,
 )
 from identifiability.investigation.evidence import DISCREPANCY
-from identifiability.joint.effects import EFFECTS, Effect, RelaxationSpectrum
+from identifiability.joint.effects import EFFECTS, Effect, RelaxationSpectrum, StiffeningHysteresis
 from identifiability.joint.model import KBI, Model
 
 DECISIVE = 10.0
@@ -128,9 +128,9 @@ class Search:
         against the final model.
     without : dict of str to Candidate
         For each effect of the final model, the model without it.
-    passive : Ranked or None
-        Relaxation at several paces in the place of all effects with memory, where these are several
-        and may be no more than that together; evidence is against the final model.
+    descriptions : tuple of Ranked
+        Descriptions that name no mechanism, in the place of effects of the final model that may be
+        no more than that; one that passes stands for them. Evidence is against the final model.
     exact : bool
         Whether the final model leaves no more than noise.
     n_fits : int
@@ -145,15 +145,15 @@ class Search:
     ladder: tuple[tuple[str, Candidate], ...]
     alternatives: dict[str, tuple[Ranked, ...]]
     without: dict[str, Candidate]
-    passive: Ranked | None
+    descriptions: tuple[Ranked, ...]
     exact: bool
     n_fits: int
     ended: str
 
     @property
-    def only_relaxes(self) -> bool:
-        """Whether relaxation at several paces does as well as the effects with memory together."""
-        return self.passive is not None and self.passive.evidence > -DECISIVE
+    def description(self) -> Ranked | None:
+        """The description that stands for effects of the final model, if one does."""
+        return next((r for r in self.descriptions if r.passes), None)
 
 
 def evidence_for(larger: Candidate, smaller: Candidate, best: Candidate) -> float:
@@ -251,7 +251,7 @@ class Searcher:
             ladder,
             alternatives,
             without,
-            self._passive(current, baseline),
+            self._descriptions(current, baseline),
             self._leaves_noise(current),
             len(self.known),
             ended,
@@ -638,20 +638,35 @@ class Searcher:
             left.remove(key)
         return tuple(rungs)
 
-    def _passive(self, final: Candidate, baseline: Candidate) -> Ranked | None:
-        """Relaxation at several paces in the place of all effects with memory, if several."""
+    def _descriptions(self, final: Candidate, baseline: Candidate) -> tuple[Ranked, ...]:
+        """What names no mechanism, in the place of those that it may unmask.
+
+        Two mechanisms with memory may together be no more than relaxation at several paces, and
+        that need only do as well. A hysteresis that stiffens on reversal is richer than the
+        short-range stiffness that it unmasks, and must do better by all that an effect has to.
+        """
         memory = [e.key for e in final.model.effects if e.has_memory and e.key not in baseline.keys]
-        if len(memory) < 2:
-            return None
+        out = []
+        if len(memory) > 1:
+            found = self._described(RelaxationSpectrum(), memory, final, baseline)
+            out.append(replace(found, passes=found.evidence > -DECISIVE))
+        if "short_range_stiffness" in memory and not self._leaves_noise(final):
+            instead_of = ["short_range_stiffness"]
+            out.append(self._described(StiffeningHysteresis(), instead_of, final, baseline))
+        return tuple(out)
+
+    def _described(
+        self, description: Effect, instead_of: list[str], final: Candidate, baseline: Candidate
+    ) -> Ranked:
         model, near = final.model, baseline
-        for key in memory:
+        for key in instead_of:
             model = model.without(key)
         if model.effect_keys != baseline.keys:
             near = self.fit(model, baseline, refined=final.refined)
-        spectrum = RelaxationSpectrum()
-        self.progress("relaxation at several paces", 1, 1)
-        found = self.fit(model + spectrum, near, refined=final.refined)
-        return self._judge(spectrum.key, found, final, _least([final, found]))
+        self.progress(f"describing {' and '.join(instead_of)}", 1, 1)
+        plain = self.fit(model + description, near, refined=final.refined)
+        found = self._richer(plain, description.key)
+        return self._judge(description.key, found, final, _least([final, found]))
 
     def _alternatives(
         self,

@@ -97,8 +97,8 @@ def judge(
     because = [_errors(evidence, baseline, final), *_one_by_one(evidence, search)]
     quiet = _quiet(evidence, final, rest)
     because += [*_reasons(evidence, search, sets, library), *_clue(search)]
-    if search.passive is not None and search.only_relaxes:
-        return _only_relaxes(search.passive, search, share, because)
+    if search.description is not None:
+        return _described(search.description, search, share, because)
     if not names:
         return _nothing_named(rest, quiet, because, smallest_seen)
     measured = all(library[k].place == "sensor" for s in sets for k in s)
@@ -178,31 +178,23 @@ def _partly(
     return Verdict(_unknown_kind(rest), names, sets, sentence, tuple(because), share)
 
 
-def _only_relaxes(
-    passive: Ranked, search: Search, share: float | None, because: list[str]
+def _described(
+    description: Ranked, search: Search, share: float | None, because: list[str]
 ) -> Verdict:
-    """Verdict where what was found need be no more than relaxation at several paces."""
-    others = passive.candidate.model.effect_keys
-    replaced = [k for k in search.alternatives if k not in others]
-    beside = [_plain(k) for k in search.alternatives if k in others]
-    values = passive.candidate.values
-    paces = [
-        f"{1e3 * values[name]:.3g}"
-        for name in values
-        if name.startswith(f"{passive.key}.time_constant")
-        and values[name.replace("time_constant", "stiffness")] > _TRACE * values["K"]
-    ]
-    together = _list([_plain(k) for k in replaced])
-    rival = passive.candidate
+    """Verdict where a description that names no mechanism stands for effects that were found."""
+    rival = description.candidate
+    replaced = _list([_plain(k) for k in search.alternatives if k not in rival.keys])
+    beside = [_plain(k) for k in search.alternatives if k in rival.keys]
     held = f" and {rival.held_out.error:.3g} on those held out" if rival.held_out.by_trial else ""
     because.append(
-        f"With relaxation in {_list(paces)} ms in the place of {together}, E is "
+        f"With {_plain(description.key)} in the place of {replaced}, E is "
         f"{rival.fitted.error:.3g} on the fitted trials{held}."
     )
+    title = next(e.title for e in rival.model.effects if e.key == description.key)
+    does = "better than" if description.evidence > DECISIVE else "as well as"
     sentence = (
-        "Something with memory is missing, and it need be none of the effects known here: a joint "
-        f"that relaxes at several paces does as well as {together} together, and such are soft "
-        "tissue and fractional damping."
+        "Something with memory is missing, and it need be none of the effects known here: "
+        f"{title} does {does} {replaced}."
     )
     if beside:
         sentence += f" Beside it the model misses {_list(beside)}."

@@ -16,6 +16,7 @@ from identifiability.joint.effects.sensor_drift import SensorDrift
 from identifiability.joint.effects.sensor_lowpass import SensorLowpass
 from identifiability.joint.effects.series_tendon import SeriesTendon
 from identifiability.joint.effects.short_range_stiffness import ShortRangeStiffness
+from identifiability.joint.effects.stiffening_hysteresis import StiffeningHysteresis
 from identifiability.joint.effects.stretch_reflex import StretchReflex
 
 EFFECTS: dict[str, type[Effect]] = {
@@ -58,5 +59,6 @@ __all__ = [
     "SensorLowpass",
     "SeriesTendon",
     "ShortRangeStiffness",
+    "StiffeningHysteresis",
     "StretchReflex",
 ]

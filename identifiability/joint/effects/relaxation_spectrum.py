@@ -51,7 +51,7 @@ class RelaxationSpectrum(Effect):
     """
 
     key = "relaxation_spectrum"
-    title = "relaxation at several paces"
+    title = "relaxation at several paces (soft tissue, fractional damping)"
     place = "joint"
     linear = True
     n_states = 3

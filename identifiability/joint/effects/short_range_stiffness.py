@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import ClassVar
 
 import jax.numpy as jnp
 from jax import Array
@@ -31,13 +32,13 @@ class ShortRangeStiffness(Effect):
     place = "muscle"
     linear = False
     n_states = 1
-    confused_with = (
+    confused_with: ClassVar[tuple[str, ...]] = (
         "coulomb_friction",
         "hill_force_velocity",
         "cubic_stiffness",
         "maxwell_branch",
     )
-    parameters = (
+    parameters: ClassVar[tuple[Parameter, ...]] = (
         Parameter(
             "stiffness",
             r"K_\mathrm{s}",
@@ -78,7 +79,7 @@ class ShortRangeStiffness(Effect):
             description="rate at which the stretch is forgotten at rest",
         ),
     )
-    references = (
+    references: ClassVar[tuple[str, ...]] = (
         "Rack & Westbury 1974, J Physiol 240: 331-350",
         "De Groote, Allen & Ting 2017, J Biomech 55: 71-77",
         "Wen 1976, J Eng Mech Div ASCE 102: 249-263 (the elastic-plastic form)",
@@ -93,7 +94,12 @@ class ShortRangeStiffness(Effect):
     def rates(self, p: Sequence[Array], motion: Motion, states: Array, delayed: Motion) -> Array:
         """Stretch of the cross-bridges."""
         stretch = states[0]
-        # A step may end a little beyond the limit, from where it shall not be thrown back.
-        share = jnp.clip(jnp.abs(stretch) / p[1], _TINY, 1.0)
         growing = jnp.where(stretch * motion.velocity > 0, motion.velocity, 0.0)
-        return jnp.reshape(motion.velocity - growing * share ** p[2] - p[3] * stretch, (1,))
+        change = motion.velocity - growing * self._yielding(p, states) - p[3] * stretch
+        return jnp.reshape(change, (1,))
+
+    @staticmethod
+    def _yielding(p: Sequence[Array], states: Array) -> Array:
+        """Share of the motion that the stretch does not follow while it grows."""
+        # A step may end a little beyond the limit, from where it shall not be thrown back.
+        return jnp.clip(jnp.abs(states[0]) / p[1], _TINY, 1.0) ** p[2]
