@@ -5,7 +5,11 @@ from functools import partial
 import jax
 import numpy as np
 
-from identifiability.joint.effects import EFFECTS, RelaxationSpectrum, StiffeningHysteresis
+from identifiability.joint.effects import (
+    EFFECTS,
+    RelaxationSpectrum,
+    StiffeningHysteresis,
+)
 from identifiability.joint.effects.base import Effect
 from identifiability.joint.integrator import integrate
 from identifiability.joint.parameters import Parameter
@@ -50,6 +54,7 @@ KBI_VALUES = {"K": 50.0, "B": 2.0, "I": 0.1}
 GENERIC = {
     "coulomb_friction": {"breakaway": 0.3},
     "hill_force_velocity": {"asymmetry": 0.3},
+    "loose_coupling": {"gap": 0.004, "own_stiffness": 200.0, "own_damping": 8.0},
     "nonlinear_tendon": {"asymmetry": 0.3},
     "quadratic_stiffness": {"hardening": 3.0},
     "sensor_delay": {"delay": 0.0033},

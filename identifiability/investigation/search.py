@@ -24,7 +24,13 @@ from identifiability.investigation.candidates import (
     starting_values,
 )
 from identifiability.investigation.evidence import DISCREPANCY
-from identifiability.joint.effects import EFFECTS, Effect, RelaxationSpectrum, StiffeningHysteresis
+from identifiability.joint.effects import (
+    EFFECTS,
+    Effect,
+    LooseCoupling,
+    RelaxationSpectrum,
+    StiffeningHysteresis,
+)
 from identifiability.joint.model import KBI, Model
 
 DECISIVE = 10.0
@@ -129,8 +135,8 @@ class Search:
     without : dict of str to Candidate
         For each effect of the final model, the model without it.
     descriptions : tuple of Ranked
-        Descriptions that name no mechanism, in the place of effects of the final model that may be
-        no more than that; one that passes stands for them. Evidence is against the final model.
+        Descriptions that name no one mechanism, in the place of effects of the final model that may
+        be no more than that; one that passes stands for them. Evidence is against the final model.
     exact : bool
         Whether the final model leaves no more than noise.
     n_fits : int
@@ -152,8 +158,9 @@ class Search:
 
     @property
     def description(self) -> Ranked | None:
-        """The description that stands for effects of the final model, if one does."""
-        return next((r for r in self.descriptions if r.passes), None)
+        """The description that stands for effects of the final model best, if one does."""
+        passing = [r for r in self.descriptions if r.passes]
+        return max(passing, key=lambda r: r.evidence, default=None)
 
 
 def evidence_for(larger: Candidate, smaller: Candidate, best: Candidate) -> float:
@@ -639,20 +646,24 @@ class Searcher:
         return tuple(rungs)
 
     def _descriptions(self, final: Candidate, baseline: Candidate) -> tuple[Ranked, ...]:
-        """What names no mechanism, in the place of those that it may unmask.
+        """What names no one mechanism, in the place of those that it may unmask.
 
         Two mechanisms with memory may together be no more than relaxation at several paces, and
-        that need only do as well. A hysteresis that stiffens on reversal is richer than the
-        short-range stiffness that it unmasks, and must do better by all that an effect has to.
+        that need only do as well. The others are richer than the one that they unmask, and must do
+        better by all that an effect has to.
         """
         memory = [e.key for e in final.model.effects if e.has_memory and e.key not in baseline.keys]
         out = []
         if len(memory) > 1:
             found = self._described(RelaxationSpectrum(), memory, final, baseline)
             out.append(replace(found, passes=found.evidence > -DECISIVE))
-        if "short_range_stiffness" in memory and not self._leaves_noise(final):
-            instead_of = ["short_range_stiffness"]
-            out.append(self._described(StiffeningHysteresis(), instead_of, final, baseline))
+        if not self._leaves_noise(final):
+            out += [
+                self._described(kind(), [key], final, baseline)
+                for kind in (StiffeningHysteresis, LooseCoupling)
+                for key in kind.refines
+                if key in memory
+            ]
         return tuple(out)
 
     def _described(

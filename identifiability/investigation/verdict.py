@@ -181,7 +181,7 @@ def _partly(
 def _described(
     description: Ranked, search: Search, share: float | None, because: list[str]
 ) -> Verdict:
-    """Verdict where a description that names no mechanism stands for effects that were found."""
+    """Verdict where a description stands for effects that were found."""
     rival = description.candidate
     replaced = _list([_plain(k) for k in search.alternatives if k not in rival.keys])
     beside = [_plain(k) for k in search.alternatives if k in rival.keys]

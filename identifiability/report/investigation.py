@@ -134,7 +134,7 @@ def write_report(findings: Findings, record: dict[str, Any], out: Path) -> list[
         replaced = [k.replace("_", " ") for k in search.final.keys if k not in r.candidate.keys]
         page.paragraph(
             f"Held against {' and '.join(replaced)}: {r.key.replace('_', ' ')}, which names no "
-            f"mechanism, {'and displaces' if r.passes else 'but does not displace'} "
+            f"one mechanism, {'and displaces' if r.passes else 'but does not displace'} "
             f"{'it' if len(replaced) == 1 else 'them'}. Evidence against the final model "
             f"{r.evidence:.1f}, E held out {r.candidate.held_out.error:.3g}."
         )

@@ -6,6 +6,7 @@ from identifiability.joint.effects.coulomb_friction import CoulombFriction
 from identifiability.joint.effects.cubic_stiffness import CubicStiffness
 from identifiability.joint.effects.gravity import Gravity
 from identifiability.joint.effects.hill_force_velocity import HillForceVelocity
+from identifiability.joint.effects.loose_coupling import LooseCoupling
 from identifiability.joint.effects.maxwell_branch import MaxwellBranch
 from identifiability.joint.effects.nonlinear_tendon import NonlinearTendon
 from identifiability.joint.effects.quadratic_stiffness import QuadraticStiffness
@@ -48,6 +49,7 @@ __all__ = [
     "Effect",
     "Gravity",
     "HillForceVelocity",
+    "LooseCoupling",
     "MaxwellBranch",
     "Motion",
     "NonlinearTendon",
