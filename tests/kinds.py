@@ -7,6 +7,7 @@ import numpy as np
 
 from identifiability.joint.effects import (
     EFFECTS,
+    LooseCoupling,
     RelaxationSpectrum,
     StiffeningHysteresis,
 )
@@ -33,9 +34,8 @@ class ParallelSpring(Effect):
         return p[0] * motion.angle
 
 
-KINDS = EFFECTS | {
-    kind.key: kind for kind in (RelaxationSpectrum, StiffeningHysteresis, ParallelSpring)
-}
+DESCRIPTIONS = (LooseCoupling, RelaxationSpectrum, StiffeningHysteresis)
+KINDS = EFFECTS | {kind.key: kind for kind in (*DESCRIPTIONS, ParallelSpring)}
 LINEAR = [key for key in sorted(KINDS) if KINDS[key].linear]
 
 # All runs have this many samples and go in batches of this size: two compilations for each model.
@@ -54,7 +54,7 @@ KBI_VALUES = {"K": 50.0, "B": 2.0, "I": 0.1}
 GENERIC = {
     "coulomb_friction": {"breakaway": 0.3},
     "hill_force_velocity": {"asymmetry": 0.3},
-    "loose_coupling": {"gap": 0.004, "own_stiffness": 200.0, "own_damping": 8.0},
+    "loose_coupling": {"gap": 0.02, "own_stiffness": 200.0, "own_damping": 8.0},
     "nonlinear_tendon": {"asymmetry": 0.3},
     "quadratic_stiffness": {"hardening": 3.0},
     "sensor_delay": {"delay": 0.0033},

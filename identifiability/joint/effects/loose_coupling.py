@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import jax.numpy as jnp
 from jax import Array
@@ -39,7 +40,10 @@ class LooseCoupling(Effect):
     confused_with = ("second_mass",)
     refines = ("second_mass",)
     parameters = (
-        *SecondMass.parameters,
+        SecondMass.parameters[0],
+        # A contact that is not linear is stepped explicitly: no faster than steps of 1 ms follow.
+        replace(SecondMass.parameters[1], upper=30.0),
+        replace(SecondMass.parameters[2], upper=0.3),
         Parameter(
             "gap",
             "g",
@@ -56,7 +60,7 @@ class LooseCoupling(Effect):
             "1/s²",
             nominal=0.0,
             lower=0.0,
-            upper=1e5,
+            upper=2e4,
             plain=0.0,
             description="stiffness that holds the second body, over its inertia",
         ),
@@ -66,7 +70,7 @@ class LooseCoupling(Effect):
             "1/s",
             nominal=0.0,
             lower=0.0,
-            upper=1e3,
+            upper=300.0,
             plain=0.0,
             description="damping that holds the second body, over its inertia",
         ),
