@@ -90,9 +90,9 @@ class Ranked:
     objection: str = ""
 
     @property
-    def kind(self) -> str:
-        """Whether the effect is in the joint or in the instruments."""
-        return _effect_of(self.candidate.model, self.key).kind
+    def effect(self) -> Effect:
+        """The effect that it adds, or puts in another's place."""
+        return _effect_of(self.candidate.model, self.key)
 
 
 @dataclass(frozen=True, eq=False)

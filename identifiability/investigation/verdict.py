@@ -190,11 +190,10 @@ def _described(
         f"With {_plain(description.key)} in the place of {replaced}, E is "
         f"{rival.fitted.error:.3g} on the fitted trials{held}."
     )
-    title = next(e.title for e in rival.model.effects if e.key == description.key)
     does = "better than" if description.evidence > DECISIVE else "as well as"
     sentence = (
         "Something with memory is missing, and it need be none of the effects known here: "
-        f"{title} does {does} {replaced}."
+        f"{description.effect.title} does {does} {replaced}."
     )
     if beside:
         sentence += f" Beside it the model misses {_list(beside)}."

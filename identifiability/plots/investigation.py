@@ -36,7 +36,7 @@ def ranking_figure(step: Step, members: Sequence[str] = ()) -> Figure:
         figure = Figure(figsize=(9.0, 0.36 * len(step.ranking) + 1.9))
         axes = figure.subplots()
         for row, r in enumerate(ranked):
-            colour = ORANGE if r.kind == "measurement" else BLUE
+            colour = ORANGE if r.effect.kind == "measurement" else BLUE
             axes.barh(
                 row,
                 max(r.evidence, _FEWEST),

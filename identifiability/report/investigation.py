@@ -260,7 +260,15 @@ def _ranking_table(page: Page, step: Step) -> None:
 
 def _ranking_row(r: Ranked) -> list[str]:
     if r.candidate.failure:
-        return [r.key.replace("_", " "), r.kind, "", "", "", "", f"no fit: {r.candidate.failure}"]
+        return [
+            r.key.replace("_", " "),
+            r.effect.kind,
+            "",
+            "",
+            "",
+            "",
+            f"no fit: {r.candidate.failure}",
+        ]
     parameters = r.candidate.model.parameters
     values = ", ".join(
         f"{name.split('.')[1].replace('_', ' ')} {value:.3g}"
@@ -276,7 +284,7 @@ def _ranking_row(r: Ranked) -> list[str]:
         remarks.append(f"at a bound: {', '.join(n.split('.')[1].replace('_', ' ') for n in own)}")
     return [
         r.key.replace("_", " "),
-        r.kind,
+        r.effect.kind,
         f"{r.evidence:.1f}",
         f"{r.candidate.fitted.error:.3g}",
         f"{r.candidate.held_out.error:.3g}" if r.candidate.held_out.by_trial else "",
