@@ -454,12 +454,30 @@ def test_inexact_equations_exclude_no_rival_that_comes_near(exact, rival_error, 
     assert ("cubic_stiffness" in equivalence_set("gravity", search, EFFECTS)) is member
 
 
-def test_what_answers_sooner_than_nerves_is_no_reflex():
+def test_the_shortest_delay_that_a_reflex_has_is_in_doubt():
     model = KBI() + EFFECTS["stretch_reflex"]()
-    for delay, allowed in ((0.016, False), (0.02, True), (0.06, True)):
-        fitted = dict(zip(model.parameter_names, model.nominal, strict=True))
-        fitted["stretch_reflex.delay"] = delay
-        assert (model.objection(fitted) == "") is allowed
+    left = Residual((), np.array([0.1]), 1.0)
+    for delay, doubted in ((0.02, True), (0.025, False), (0.06, False)):
+        values = dict(zip(model.parameter_names, model.nominal, strict=True))
+        values["stretch_reflex.delay"] = delay
+        found = Candidate(model, values, model.parameter_names, left, left)
+        torque_driven = trials(KBI(), JOINT)
+        bench = Workbench(gather(torque_driven))
+        assert bool(bench.doubt(found, "stretch_reflex")) is doubted
+        # Of an imposed motion the delay may lie anywhere on a ridge.
+        imposed = Workbench(gather([replace(t, driven="angle") for t in torque_driven]))
+        assert imposed.doubt(found, "stretch_reflex") == ""
+
+
+def test_what_is_in_doubt_is_taken_only_where_nothing_else_is_admitted():
+    searcher = Searcher(Workbench(gather(trials(KBI(), JOINT))))
+    left = Residual((), np.array([0.1]), 1.0)
+    quick, other = (
+        Ranked(key, Candidate(KBI(), {}, (), left, left), evidence, 1.0, True, "", doubt=doubt)
+        for key, evidence, doubt in (("stretch_reflex", 200.0, "too quick"), ("gravity", 50.0, ""))
+    )
+    assert searcher._choose([quick, other]) == "gravity"
+    assert searcher._choose([quick]) == "stretch_reflex"
 
 
 # Scores

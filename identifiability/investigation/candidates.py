@@ -233,6 +233,13 @@ class Workbench:
             return ""
         return candidate.model.objection(candidate.values)
 
+    def doubt(self, candidate: Candidate, key: str) -> str:
+        """Why one of a candidate's effects more likely stands for another; empty if it does not."""
+        if candidate.failure or self.evidence.driven == "angle":
+            return ""
+        effect = next(e for e in candidate.model.effects if e.key == key)
+        return effect.doubt(candidate.values)
+
     def finish(self, glanced: Candidate) -> Candidate:
         """Carry a fit that was only glanced at to its end, from the best places it reached."""
         if glanced.failure or glanced.thorough:

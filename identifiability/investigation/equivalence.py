@@ -6,8 +6,15 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from identifiability.investigation.candidates import difference, effective_samples
-from identifiability.investigation.search import DECISIVE, FORM, Ranked, Search, pooled_error
+from identifiability.investigation.search import (
+    DECISIVE,
+    FORM,
+    Ranked,
+    Search,
+    pooled_error,
+    predicts_worse,
+    unpenalised,
+)
 from identifiability.joint.effects.base import Effect
 
 
@@ -16,7 +23,8 @@ def equivalence_set(key: str, search: Search, library: Mapping[str, type[Effect]
 
     A rival belongs to the set unless the data speak decisively against it: its fit is worse by the
     decisive difference, a larger model's penalty not counted against it (parsimony may rank, but
-    not exclude), or its prediction of the held-out trials is. Where the final model leaves more
+    not exclude), or its prediction of the held-out trials is, and it stays worse once it is fitted
+    to these too. Where the final model leaves more
     than noise its equations are not exact, and a rival is not excluded either that comes as near as
     inexact equations may (`FORM`). Effects of the same form belong to it always; a refinement of
     the effect (a tendon that also stiffens) is no rival, nor is one with values no joint has.
@@ -35,20 +43,16 @@ def equivalence_set(key: str, search: Search, library: Mapping[str, type[Effect]
     """
     members, final = [], search.final
     for r in search.alternatives[key]:
-        if r.candidate.failure or r.objection or key in library[r.key].refines:
+        if r.candidate.failure or r.objection or r.doubt or key in library[r.key].refines:
             continue
         if comes_near(key, r, search):
             members.append(r.key)
             continue
-        moved = difference(final.fitted, r.candidate.fitted)
-        extra = len(r.candidate.free) - len(final.free)
-        penalty = max(0, extra) * np.log(effective_samples(final.fitted, moved))
-        if r.evidence + penalty <= -DECISIVE:
+        evidence = r.evidence if r.refitted is None else r.refitted
+        if evidence + unpenalised(r.candidate, final) <= -DECISIVE:
             continue
-        if final.held_out.by_trial:
-            moved = difference(final.held_out, r.candidate.held_out)
-            if effective_samples(final.held_out, moved) * r.held_out_gain <= -DECISIVE:
-                continue
+        if r.refitted is None and predicts_worse(r, final):
+            continue
         members.append(r.key)
     alike = [k for k in library[key].equivalent if k in library and k not in members]
     found = list(dict.fromkeys([key, *alike, *members]))

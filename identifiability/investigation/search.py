@@ -79,6 +79,11 @@ class Ranked:
         Why it is not.
     objection : str
         Why its values cannot be those of a joint, whatever the evidence.
+    doubt : str
+        Why they are more likely those of another effect: taken where no other is admitted.
+    refitted : float or None
+        Evidence with the held-out trials fitted too, where only these speak against a rival: they
+        may then move its parameters as far as the fitted trials leave them open.
     """
 
     key: str
@@ -88,6 +93,8 @@ class Ranked:
     passes: bool
     reason: str
     objection: str = ""
+    doubt: str = ""
+    refitted: float | None = None
 
     @property
     def effect(self) -> Effect:
@@ -292,6 +299,7 @@ class Searcher:
 
     def _choose(self, admitted: Sequence[Ranked]) -> str:
         """Effect to add: the best, or the plainest where the noise is unknown and many do."""
+        admitted = [r for r in admitted if not r.doubt] or admitted
         if not self.bench.evidence.has_noise:
             enough = [r for r in admitted if self.at_floor(r.candidate)]
             admitted = sorted(enough, key=lambda r: len(r.candidate.free)) or admitted
@@ -449,7 +457,8 @@ class Searcher:
             reason = "removes too little of what is left"
         elif self._only_mends(candidate, current):
             reason = ONLY_MENDS
-        return Ranked(key, candidate, gain, held, not reason, reason, objection)
+        doubt = self.bench.doubt(candidate, key)
+        return Ranked(key, candidate, gain, held, not reason, reason, objection, doubt)
 
     def _held_out_agrees(self, candidate: Candidate, current: Candidate, held: float) -> bool:
         if not self.bench.evidence.held_out:
@@ -543,7 +552,7 @@ class Searcher:
             if key == step.chosen:
                 continue
             for other in self._swaps(key, current, baseline):
-                if other.passes and other.evidence > DECISIVE:
+                if other.passes and not other.doubt and other.evidence > DECISIVE:
                     current = other.candidate
                     break
         return current
@@ -693,8 +702,43 @@ class Searcher:
                 ranked = [self._judge(k, c, final, final) for k, c in pairs]
             else:
                 ranked = self._swaps(key, final, baseline)
+            ranked = [self._with_all_trials(r, final) for r in ranked]
             out[key] = tuple(sorted(ranked, key=lambda r: -r.evidence))
         return out
+
+    def _with_all_trials(self, rival: Ranked, final: Candidate) -> Ranked:
+        evidence = self.bench.evidence
+        if rival.candidate.failure or rival.objection or rival.doubt or not evidence.held_out:
+            return rival
+        free = unpenalised(rival.candidate, final)
+        fitted = evidence_for(rival.candidate, final, _least([rival.candidate, final]))
+        held_out_objects = rival.evidence + free <= -DECISIVE or predicts_worse(rival, final)
+        if fitted + free <= -DECISIVE or not held_out_objects:
+            return rival
+        self.progress(f"{rival.key} fitted to all trials", 1, 1)
+        both = replace(evidence, fitted=(*evidence.fitted, *evidence.held_out), held_out=())
+        bench = Workbench(both, self.bench.bounds)
+        mine, other = (
+            bench.fit(c.model, [c.values], refined=c.refined) for c in (final, rival.candidate)
+        )
+        if mine.failure or other.failure:
+            return rival
+        return replace(rival, refitted=evidence_for(other, mine, _least([other, mine])))
+
+
+def unpenalised(rival: Candidate, final: Candidate) -> float:
+    """What a rival's larger number of parameters cost it: parsimony may rank, but not exclude."""
+    extra = len(rival.free) - len(final.free)
+    samples = effective_samples(final.fitted, difference(final.fitted, rival.fitted))
+    return float(max(0, extra) * np.log(samples))
+
+
+def predicts_worse(rival: Ranked, final: Candidate) -> bool:
+    """Whether a rival predicts the held-out trials decisively worse than the final model."""
+    if not final.held_out.by_trial:
+        return False
+    moved = difference(final.held_out, rival.candidate.held_out)
+    return effective_samples(final.held_out, moved) * rival.held_out_gain <= -DECISIVE
 
 
 def pooled_error(candidate: Candidate) -> float:

@@ -283,7 +283,7 @@ def _reasons(
         rivals = [
             r
             for r in search.alternatives[chosen]
-            if r.key not in members and np.isfinite(r.evidence) and not r.objection
+            if r.key not in members and np.isfinite(r.evidence) and not (r.objection or r.doubt)
         ]
         rivals.sort(key=lambda r: -r.evidence)
         if (
@@ -302,10 +302,13 @@ def _reasons(
                 f"worse by {-rivals[0].evidence:.0f} (more than {DECISIVE:.0f} is decisive)."
             )
         out += [
-            f"With {_plain(r.key)} in the place of {_plain(members[0])}, {r.objection}."
+            f"With {_plain(r.key)} in the place of {_plain(members[0])}, {r.objection or r.doubt}."
             for r in search.alternatives[chosen]
-            if r.objection and r.evidence > -DECISIVE
+            if (r.objection or r.doubt) and r.evidence > -DECISIVE
         ]
+        own = next(e for e in search.final.model.effects if e.key == chosen)
+        if evidence.driven == "torque" and (doubt := own.doubt(search.final.values)):
+            out.append(f"Of the {_plain(chosen)}, {doubt}: it may stand for something quicker.")
         alike = [r for r in search.alternatives[chosen] if r.key in members]
         better = [r for r in alike if r.evidence > DECISIVE]
         if better and not evidence.has_noise:

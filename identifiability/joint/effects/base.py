@@ -126,6 +126,21 @@ class Effect(ABC):
         """
         return ""
 
+    def doubt(self, values: Mapping[str, float]) -> str:
+        """Why fitted values, though a joint may have them, are more likely those of another effect.
+
+        Parameters
+        ----------
+        values : mapping of str to float
+            All parameters of the model by their full names.
+
+        Returns
+        -------
+        str
+            Empty where there is no doubt. An effect with one is taken where no other is admitted.
+        """
+        return ""
+
     @property
     def kind(self) -> Literal["physics", "measurement"]:
         """Whether the effect is in the joint or in the instruments."""

@@ -11,10 +11,10 @@ from jax.typing import ArrayLike
 from identifiability.joint.effects.base import Effect, Motion
 from identifiability.joint.parameters import Parameter
 
-_SHORTEST = 0.018
-"""Delay (s) below which there is no reflex of a limb: a fit that wants less wants a quicker effect.
-The arm's muscles begin to answer 20 ms after a stretch (Kurtzer 2015, Front Integr Neurosci 8:
-99)."""
+_SHORTEST = 0.02
+"""Delay (s) below which there is no reflex of a limb: the arm's muscles begin to answer 20 ms after
+a stretch (Kurtzer 2015, Front Integr Neurosci 8: 99)."""
+_AT = 1.02  # times the shortest delay, within which a fit wanted less
 
 
 class StretchReflex(Effect):
@@ -67,7 +67,7 @@ class StretchReflex(Effect):
             "d",
             "s",
             nominal=0.04,
-            lower=0.015,
+            lower=_SHORTEST,
             upper=0.15,
             description="delay of the reflex loop: 20 ms in the arm, 40 in the leg, more if learnt",
         ),
@@ -162,9 +162,8 @@ class StretchReflex(Effect):
         """Delay [s] of the reflex loop."""
         return p[2]
 
-    def objection(self, values: Mapping[str, float]) -> str:
-        """Whether the delay would be shorter than nerves and muscle allow."""
-        delay = values["stretch_reflex.delay"]
-        if delay >= _SHORTEST:
+    def doubt(self, values: Mapping[str, float]) -> str:
+        """Whether the delay is the shortest possible: the fit wanted something quicker."""
+        if values["stretch_reflex.delay"] > _AT * _SHORTEST:
             return ""
-        return f"a delay of {1e3 * delay:.3g} ms would be shorter than that of any reflex of a limb"
+        return f"a delay of {1e3 * _SHORTEST:.0f} ms is the shortest that any reflex of a limb has"
