@@ -21,7 +21,13 @@ from identifiability.investigation.candidates import (
 from identifiability.investigation.equivalence import equivalence_set
 from identifiability.investigation.evidence import Evidence, gather
 from identifiability.investigation.investigate import Investigation
-from identifiability.investigation.search import DECISIVE, Ranked, Search, Searcher
+from identifiability.investigation.search import (
+    DECISIVE,
+    Ranked,
+    Search,
+    Searcher,
+    only_held_out_objects,
+)
 from identifiability.joint.effects import (
     EFFECTS,
     LooseCoupling,
@@ -302,7 +308,11 @@ def test_descriptions_unmask_the_effects_that_stand_for_them(true, values, belie
     baseline = study.fit(KBI())
     model = sum((EFFECTS[key]() for key in believed), KBI())
     final = searcher.fit(model, baseline, refined=believed)
-    tried = [r for r in searcher._descriptions(final, baseline) if r.passes]
+    tried = [
+        r
+        for r in searcher._descriptions(final, baseline, searcher._leaves_noise(final))
+        if r.passes
+    ]
     best = max(tried, key=lambda r: r.evidence, default=None)
     assert (best and best.key) == (true[0].key if stands else None)
 
@@ -452,6 +462,38 @@ def test_inexact_equations_exclude_no_rival_that_comes_near(exact, rival_error, 
         "",
     )
     assert ("cubic_stiffness" in equivalence_set("gravity", search, EFFECTS)) is member
+
+
+@pytest.fixture(scope="module")
+def tendon():
+    """A search in which a tendon is missing, and the models that are rivals to it."""
+    model = KBI() + EFFECTS["series_tendon"]()
+    values = JOINT | {"series_tendon.stiffness": 60.0}
+    hidden = trials(model, values), trials(model, values, seed=9, conditions=HELD)
+    searcher = Searcher(Workbench(gather(*hidden)))
+    base = searcher.bench.fit(KBI(), [JOINT])
+    keys = ("series_tendon", "maxwell_branch", "gravity")
+    return searcher, {key: searcher.fit(KBI() + EFFECTS[key](), base) for key in keys}
+
+
+@pytest.mark.parametrize(
+    ("key", "fits", "equal"),
+    [
+        ("maxwell_branch", True, True),  # of the same form: fitted to all trials it is equal
+        ("gravity", True, False),  # cannot fit these trials, held out or not
+        ("gravity", False, None),  # its fit speaks against it already
+    ],
+)
+def test_a_rival_that_only_predicts_worse_is_judged_with_all_trials(tendon, key, fits, equal):
+    searcher, fitted = tendon
+    final, rival = fitted["series_tendon"], fitted[key]
+    far = replace(final.held_out, weighted=9 * final.held_out.weighted)
+    left = final.fitted if fits else rival.fitted
+    rival = replace(rival, fitted=left, held_out=far)
+    ranked = Ranked(key, rival, -100.0, -np.log(9), False, "predicts worse")
+    refitted = searcher._with_all_trials(ranked, final).refitted
+    assert only_held_out_objects(ranked, final) is (equal is not None)
+    assert (None if refitted is None else refitted > -DECISIVE) is equal
 
 
 def test_the_shortest_delay_that_a_reflex_has_is_in_doubt():

@@ -34,7 +34,8 @@ def candidate(error, *keys):
         model = model + EFFECTS[key]()
     white = np.random.default_rng(1).standard_normal(500)
     left = Residual((white,), np.array([error]), 500 * error)
-    return Candidate(model, JOINT, model.parameter_names, left, left)
+    values = dict(zip(model.parameter_names, model.nominal, strict=True)) | JOINT
+    return Candidate(model, values, model.parameter_names, left, left)
 
 
 def left_over(kind, share=0.9, noise_ratio=1.0):
@@ -81,6 +82,14 @@ def verdict(
     )
     rest = left_over(kind, 0.0 if kind == "none" else 0.9, noise_ratio)
     return judge(evidence, search, rest, SEEN, EFFECTS)
+
+
+def verdict_of(evidence, final, key, *rivals):
+    """Verdict on one effect that explains all, and its rivals."""
+    base = candidate(BEFORE)
+    alone = {key: base}
+    search = Search(base, (), final, ((key, final),), {key: rivals}, alone, (), True, 2, "")
+    return judge(evidence, search, left_over("none", 0.0), SEEN, EFFECTS)
 
 
 def test_nothing_is_missing_where_only_noise_is_left(evidence):
@@ -188,6 +197,27 @@ def test_effects_that_a_description_stands_for_are_not_named(against, stands, do
         assert not found.effects
         assert f"does {does} maxwell branch and stretch reflex." in found.sentence
         assert "misses coulomb friction" in found.sentence
+
+
+def test_a_reflex_at_the_shortest_delay_is_said_to_be_in_doubt(evidence):
+    final = candidate(1e-6, "stretch_reflex")
+    rank = Ranked("gravity", candidate(1e-6, "gravity"), -99.0, 0.0, False, "")
+    for delay, doubted in ((0.02, True), (0.06, False)):
+        final.values["stretch_reflex.delay"] = delay
+        because = verdict_of(evidence, final, "stretch_reflex", rank).because
+        assert any("may stand for something quicker" in s for s in because) is doubted
+
+
+def test_a_rival_in_doubt_is_no_equal_and_the_doubt_is_said(evidence):
+    final = candidate(1e-6, "gravity")
+    for doubt in ("", "it is too quick"):
+        rank = Ranked(
+            "stretch_reflex", candidate(1e-6, "stretch_reflex"), 0.0, 0.0, False, "", doubt=doubt
+        )
+        found = verdict_of(evidence, final, "gravity", rank)
+        assert ("stretch_reflex" in found.equivalence_sets[0]) is not bool(doubt)
+        said = "With stretch reflex in the place of gravity, it is too quick."
+        assert (said in found.because) is bool(doubt)
 
 
 def test_what_each_of_several_effects_removes_is_said(evidence):

@@ -237,8 +237,7 @@ class Workbench:
         """Why one of a candidate's effects more likely stands for another; empty if it does not."""
         if candidate.failure or self.evidence.driven == "angle":
             return ""
-        effect = next(e for e in candidate.model.effects if e.key == key)
-        return effect.doubt(candidate.values)
+        return candidate.model.effect(key).doubt(candidate.values)
 
     def finish(self, glanced: Candidate) -> Candidate:
         """Carry a fit that was only glanced at to its end, from the best places it reached."""

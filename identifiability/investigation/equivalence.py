@@ -24,10 +24,10 @@ def equivalence_set(key: str, search: Search, library: Mapping[str, type[Effect]
     A rival belongs to the set unless the data speak decisively against it: its fit is worse by the
     decisive difference, a larger model's penalty not counted against it (parsimony may rank, but
     not exclude), or its prediction of the held-out trials is, and it stays worse once it is fitted
-    to these too. Where the final model leaves more
-    than noise its equations are not exact, and a rival is not excluded either that comes as near as
-    inexact equations may (`FORM`). Effects of the same form belong to it always; a refinement of
-    the effect (a tendon that also stiffens) is no rival, nor is one with values no joint has.
+    to these too. Where the final model leaves more than noise its equations are not exact, and a
+    rival is not excluded either that comes as near as inexact equations may (`FORM`). Effects of
+    the same form belong to it always; a refinement of the effect (a tendon that also stiffens) is
+    no rival, nor is one with values that no joint has or that more likely stand for another.
 
     Parameters
     ----------

@@ -225,8 +225,8 @@ class Investigation:
         """Perturbation that would tell apart what these data cannot; ``None`` if none is open."""
         if search.description is not None:
             rival = search.description.candidate
-            replaced = [key for key in search.final.keys if key not in rival.keys]
-            pair = (" and ".join(replaced), search.description.key)
+            replaced = " and ".join(search.replaced_by(search.description))
+            pair = (replaced, search.description.key)
             return next_experiment(self.bench, search.final, rival, pair, limits=limits, seed=seed)
         for chosen, members in zip(search.alternatives, verdict.equivalence_sets, strict=False):
             for ranked in search.alternatives[chosen]:

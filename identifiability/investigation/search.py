@@ -99,7 +99,7 @@ class Ranked:
     @property
     def effect(self) -> Effect:
         """The effect that it adds, or puts in another's place."""
-        return _effect_of(self.candidate.model, self.key)
+        return self.candidate.model.effect(self.key)
 
 
 @dataclass(frozen=True, eq=False)
@@ -169,6 +169,10 @@ class Search:
         passing = [r for r in self.descriptions if r.passes]
         return max(passing, key=lambda r: r.evidence, default=None)
 
+    def replaced_by(self, description: Ranked) -> tuple[str, ...]:
+        """Effects of the final model in whose place a description was fitted."""
+        return tuple(key for key in self.alternatives if key not in description.candidate.keys)
+
 
 def evidence_for(larger: Candidate, smaller: Candidate, best: Candidate) -> float:
     """Decrease of the information criterion from one model to another.
@@ -224,6 +228,9 @@ class Searcher:
     library: dict[str, type[Effect]] = field(default_factory=lambda: dict(EFFECTS))
     progress: Progress = lambda what, done, total: None
     known: dict[tuple[tuple[str, ...], tuple[str, ...]], Candidate] = field(default_factory=dict)
+    refits: dict[tuple[tuple[str, ...], tuple[str, ...]], Candidate] = field(
+        default_factory=dict, init=False
+    )
     baseline: Candidate | None = field(default=None, init=False)
 
     def run(self, baseline: Candidate, most: int = MOST_EFFECTS) -> Search:
@@ -249,6 +256,7 @@ class Searcher:
                 ended = self._reached
                 break
         current = self._simplify(self._prune(current, baseline), baseline)
+        exact = self._leaves_noise(current)
         ladder = self._ladder(current, baseline)
         added = [key for key, _ in ladder]
         alternatives = self._alternatives(current, baseline, added, steps)
@@ -265,8 +273,8 @@ class Searcher:
             ladder,
             alternatives,
             without,
-            self._descriptions(current, baseline),
-            self._leaves_noise(current),
+            self._descriptions(current, baseline, exact),
+            exact,
             len(self.known),
             ended,
         )
@@ -643,9 +651,7 @@ class Searcher:
             tried = [
                 (
                     key,
-                    self.fit(
-                        below.model + _effect_of(final.model, key), below, refined=final.refined
-                    ),
+                    self.fit(below.model + final.model.effect(key), below, refined=final.refined),
                 )
                 for key in left
             ]
@@ -654,7 +660,9 @@ class Searcher:
             left.remove(key)
         return tuple(rungs)
 
-    def _descriptions(self, final: Candidate, baseline: Candidate) -> tuple[Ranked, ...]:
+    def _descriptions(
+        self, final: Candidate, baseline: Candidate, exact: bool
+    ) -> tuple[Ranked, ...]:
         """What names no one mechanism, in the place of those that it may unmask.
 
         Two mechanisms with memory may together be no more than relaxation at several paces, and
@@ -666,7 +674,7 @@ class Searcher:
         if len(memory) > 1:
             found = self._described(RelaxationSpectrum(), memory, final, baseline)
             out.append(replace(found, passes=found.evidence > -DECISIVE))
-        if not self._leaves_noise(final):
+        if not exact:
             out += [
                 self._described(kind(), [key], final, baseline)
                 for kind in (StiffeningHysteresis, LooseCoupling)
@@ -707,23 +715,24 @@ class Searcher:
         return out
 
     def _with_all_trials(self, rival: Ranked, final: Candidate) -> Ranked:
-        evidence = self.bench.evidence
-        if rival.candidate.failure or rival.objection or rival.doubt or not evidence.held_out:
-            return rival
-        free = unpenalised(rival.candidate, final)
-        fitted = evidence_for(rival.candidate, final, _least([rival.candidate, final]))
-        held_out_objects = rival.evidence + free <= -DECISIVE or predicts_worse(rival, final)
-        if fitted + free <= -DECISIVE or not held_out_objects:
+        """A rival with what it does once the held-out trials that speak against it are fitted."""
+        if not only_held_out_objects(rival, final):
             return rival
         self.progress(f"{rival.key} fitted to all trials", 1, 1)
-        both = replace(evidence, fitted=(*evidence.fitted, *evidence.held_out), held_out=())
-        bench = Workbench(both, self.bench.bounds)
-        mine, other = (
-            bench.fit(c.model, [c.values], refined=c.refined) for c in (final, rival.candidate)
-        )
+        mine, other = self._fit_to_all(final), self._fit_to_all(rival.candidate)
         if mine.failure or other.failure:
             return rival
         return replace(rival, refitted=evidence_for(other, mine, _least([other, mine])))
+
+    def _fit_to_all(self, candidate: Candidate) -> Candidate:
+        key = candidate.model.effect_keys, candidate.refined
+        if key not in self.refits:
+            evidence = self.bench.evidence
+            both = replace(evidence, fitted=(*evidence.fitted, *evidence.held_out), held_out=())
+            self.refits[key] = Workbench(both, self.bench.bounds).fit(
+                candidate.model, [candidate.values], refined=candidate.refined
+            )
+        return self.refits[key]
 
 
 def unpenalised(rival: Candidate, final: Candidate) -> float:
@@ -731,6 +740,17 @@ def unpenalised(rival: Candidate, final: Candidate) -> float:
     extra = len(rival.free) - len(final.free)
     samples = effective_samples(final.fitted, difference(final.fitted, rival.fitted))
     return float(max(0, extra) * np.log(samples))
+
+
+def only_held_out_objects(rival: Ranked, final: Candidate) -> bool:
+    """Whether a possible rival fits as well as the final model, but does not predict as well."""
+    if rival.candidate.failure or rival.objection or rival.doubt or not final.held_out.by_trial:
+        return False
+    free = unpenalised(rival.candidate, final)
+    fitted = evidence_for(rival.candidate, final, _least([rival.candidate, final]))
+    if fitted + free <= -DECISIVE:
+        return False
+    return rival.evidence + free <= -DECISIVE or predicts_worse(rival, final)
 
 
 def predicts_worse(rival: Ranked, final: Candidate) -> bool:
@@ -779,10 +799,6 @@ def baseline(
 def _outside(basis: np.ndarray, vector: np.ndarray) -> np.ndarray:
     """Part of a vector outside the span of an orthonormal basis."""
     return np.asarray(vector - basis @ (basis.T @ vector))
-
-
-def _effect_of(model: Model, key: str) -> Effect:
-    return next(effect for effect in model.effects if effect.key == key)
 
 
 def _refinable(candidate: Candidate, key: str) -> bool:

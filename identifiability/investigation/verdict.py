@@ -183,17 +183,18 @@ def _described(
 ) -> Verdict:
     """Verdict where a description stands for effects that were found."""
     rival = description.candidate
-    replaced = _list([_plain(k) for k in search.alternatives if k not in rival.keys])
-    beside = [_plain(k) for k in search.alternatives if k in rival.keys]
+    replaced = search.replaced_by(description)
+    beside = [_plain(key) for key in search.alternatives if key not in replaced]
+    instead_of = _list([_plain(key) for key in replaced])
     held = f" and {rival.held_out.error:.3g} on those held out" if rival.held_out.by_trial else ""
     because.append(
-        f"With {_plain(description.key)} in the place of {replaced}, E is "
+        f"With {_plain(description.key)} in the place of {instead_of}, E is "
         f"{rival.fitted.error:.3g} on the fitted trials{held}."
     )
     does = "better than" if description.evidence > DECISIVE else "as well as"
     sentence = (
         "Something with memory is missing, and it need be none of the effects known here: "
-        f"{description.effect.title} does {does} {replaced}."
+        f"{description.effect.title} does {does} {instead_of}."
     )
     if beside:
         sentence += f" Beside it the model misses {_list(beside)}."
@@ -306,7 +307,7 @@ def _reasons(
             for r in search.alternatives[chosen]
             if (r.objection or r.doubt) and r.evidence > -DECISIVE
         ]
-        own = next(e for e in search.final.model.effects if e.key == chosen)
+        own = search.final.model.effect(chosen)
         if evidence.driven == "torque" and (doubt := own.doubt(search.final.values)):
             out.append(f"Of the {_plain(chosen)}, {doubt}: it may stand for something quicker.")
         alike = [r for r in search.alternatives[chosen] if r.key in members]

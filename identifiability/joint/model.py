@@ -70,9 +70,8 @@ class Model:
         InputError
             Where the model has no such effect.
         """
-        if key not in self.effect_keys:
-            raise InputError(f"the model has no effect '{key}', it has {list(self.effect_keys)}")
-        return Model(tuple(effect for effect in self.effects if effect.key != key))
+        unwanted = self.effect(key)
+        return Model(tuple(effect for effect in self.effects if effect is not unwanted))
 
     def __repr__(self) -> str:
         return " + ".join(["KBI()", *(repr(effect) for effect in self.effects)])
@@ -81,6 +80,18 @@ class Model:
     def effect_keys(self) -> tuple[str, ...]:
         """Keys of the effects."""
         return tuple(effect.key for effect in self.effects)
+
+    def effect(self, key: str) -> Effect:
+        """Return the effect `key`.
+
+        Raises
+        ------
+        InputError
+            Where the model has no such effect.
+        """
+        if key not in self.effect_keys:
+            raise InputError(f"the model has no effect '{key}', it has {list(self.effect_keys)}")
+        return self.effects[self.effect_keys.index(key)]
 
     @property
     def parameters(self) -> dict[str, Parameter]:

@@ -131,7 +131,7 @@ def write_report(findings: Findings, record: dict[str, Any], out: Path) -> list[
     for r in search.descriptions:
         if r.candidate.failure:
             continue
-        replaced = [k.replace("_", " ") for k in search.final.keys if k not in r.candidate.keys]
+        replaced = [key.replace("_", " ") for key in search.replaced_by(r)]
         page.paragraph(
             f"Held against {' and '.join(replaced)}: {r.key.replace('_', ' ')}, which names no "
             f"one mechanism, {'and displaces' if r.passes else 'but does not displace'} "
