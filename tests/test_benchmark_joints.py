@@ -543,12 +543,13 @@ def test_the_tiers():
     tiers = {tier: hidden_cases(tier, 7) for tier in TIERS}
     assert {tier: len(specs) for tier, specs in tiers.items()} == {
         "singles": 45,
-        "controls": 20,
+        "controls": 100,
         "pairs": 26,
         "unknown": 12,
         "quick": len(QUICK),
+        "nulls": 100,
     }
-    everything = [spec for tier in TIERS[:-1] for spec in tiers[tier]]
+    everything = [spec for tier in TIERS if tier != "quick" for spec in tiers[tier]]
     assert len({spec.name for spec in everything}) == len(everything)
     assert len({spec.stream for spec in everything}) == len(everything)
     for spec in everything:
@@ -562,6 +563,7 @@ def test_the_tiers():
     }
     assert {len(spec.keys) for spec in tiers["pairs"]} == {2, 3}
     assert {spec.keys[0] for spec in tiers["unknown"]} == set(UNKNOWNS)
+    assert {(spec.kind, spec.recorder.correlation) for spec in tiers["nulls"]} == {("none", 0.0)}
     assert {spec.kind for spec in tiers["quick"]} == {"none", "known", "unknown"}
     with pytest.raises(InputError, match="tier"):
         hidden_cases("impossible", 0)

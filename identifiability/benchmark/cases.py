@@ -266,6 +266,13 @@ CONTROLS: tuple[tuple[str, Recorder, float], ...] = (
 )
 """Joints without an effect: what nastiness, how it is recorded, variation of K and B."""
 
+CONTROL_DRAWS = 5
+"""Joints of each kind of control."""
+
+NULLS = 100
+"""Joints without an effect, in white noise: where none of so many is named, the rate of false names
+is below 3.7 % (Wilson)."""
+
 QUICK: tuple[tuple[str, int], ...] = (
     ("controls", 1),
     ("controls", 6),
@@ -285,9 +292,9 @@ def hidden_cases(tier: str, seed: int) -> list[CaseSpec]:
     Parameters
     ----------
     tier : str
-        "singles": every known effect, alone. "controls": no effect, but awkward noise. "pairs":
-        two and three effects at once. "unknown": effects outside the list. "quick": some of each,
-        with fewer and shorter trials.
+        "singles": every known effect, alone. "nulls": no effect, and white noise. "controls": no
+        effect, but awkward noise. "pairs": two and three effects at once. "unknown": effects
+        outside the list. "quick": some of each, with fewer and shorter trials.
     seed : int
         Of all random draws; a case does not depend on which others are built.
 
@@ -312,6 +319,7 @@ def hidden_cases(tier: str, seed: int) -> list[CaseSpec]:
         "controls": _controls,
         "pairs": _pairs,
         "unknown": _unknown,
+        "nulls": _nulls,
     }[tier]()
     return [
         CaseSpec(
@@ -328,7 +336,8 @@ def hidden_cases(tier: str, seed: int) -> list[CaseSpec]:
     ]
 
 
-TIERS = ("singles", "controls", "pairs", "unknown", "quick")
+# A tier's place sets its random streams: a new one goes to the end.
+TIERS = ("singles", "controls", "pairs", "unknown", "quick", "nulls")
 
 Draft = tuple[str, Kind, tuple[str, ...], tuple[str | None, ...], Recorder, float]
 
@@ -348,8 +357,13 @@ def _singles() -> Iterator[Draft]:
             yield key, "known", (key,), (form,), _recorder(ratio, 3 * number + draw), 0.0
 
 
+def _nulls() -> Iterator[Draft]:
+    for index in range(NULLS):
+        yield "white", "none", (), (), Recorder(RATIOS[index % 3]), 0.0
+
+
 def _controls() -> Iterator[Draft]:
-    for label, recorder, variation in CONTROLS:
+    for label, recorder, variation in CONTROL_DRAWS * CONTROLS:
         yield label, "unrepeatable" if variation else "none", (), (), recorder, variation
 
 

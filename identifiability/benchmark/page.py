@@ -12,8 +12,9 @@ from identifiability.inference.archive import package_version
 _TIERS = {
     "singles": "one effect",
     "pairs": "two or three effects",
-    "controls": "no effect: only noise of several kinds, or variation from trial to trial",
     "unknown": "an effect that is not in the library",
+    "controls": "no effect: only noise of several kinds, or variation from trial to trial",
+    "nulls": "no effect: only white noise",
     "quick": "some of each, six short trials",
 }
 

@@ -14,7 +14,7 @@ from identifiability.files import write_json
 from identifiability.inference.archive import package_version
 from identifiability.investigation.investigate import investigate
 
-WHOLE = ("singles", "controls", "pairs", "unknown")
+WHOLE = ("singles", "pairs", "unknown", "controls", "nulls")
 
 Progress = Callable[[str, int, int, float], None]
 

@@ -23,7 +23,7 @@ def add_parser(commands: Any) -> None:
     parser.add_argument(
         "--tier",
         nargs="+",
-        choices=("singles", "controls", "pairs", "unknown", "quick"),
+        choices=("singles", "pairs", "unknown", "controls", "nulls", "quick"),
         help="tiers of cases (all but quick)",
     )
     parser.add_argument("--every", type=int, default=1, metavar="N", help="every N-th case (1)")
