@@ -14,7 +14,7 @@ PACKAGE = "identifiability"
 # other.
 LAYERS = (
     ("errors",),
-    ("files",),
+    ("files", "provenance"),
     ("measurement",),
     ("joint",),
     ("inference",),

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from identifiability.errors import InputError
-from identifiability.study.sweep import Outcome, fingerprint, sweep
+from identifiability.study.sweep import Outcome, sweep
 
 ROOT = Path(__file__).parents[1]
 
@@ -120,7 +120,7 @@ def test_a_changed_configuration_never_reads_old_results(tmp_path, threads, monk
     elif change == "schema":
         options = {"schema": 2}
     else:
-        monkeypatch.setattr("identifiability.inference.archive.package_version", lambda: "99.0")
+        monkeypatch.setattr("identifiability.study.sweep.package_version", lambda: "99.0")
     assert not run({"a": task}, tmp_path, **threads, **options)["a"].resumed
     assert run({"a": task}, tmp_path, **threads, **options)["a"].resumed
 
@@ -254,29 +254,3 @@ def _wait_until_still(path: Path) -> None:
         if now != size:
             size, since = now, time.monotonic()
         time.sleep(0.05)
-
-
-def test_fingerprints_tell_configurations_apart():
-    values = [
-        Task(1),
-        Task(2),
-        Task(1, note="x"),
-        {"a": 1, "b": 2.0},
-        {"a": 1, "b": 2.0000000001},
-        [1, 2],
-        [2, 1],
-        np.arange(3.0),
-        np.arange(3.0)[::-1],
-        np.arange(3),
-        None,
-    ]
-    assert len({fingerprint(value) for value in values}) == len(values)
-    assert fingerprint({"a": 1, "b": 2}) == fingerprint({"b": 2, "a": 1})
-    assert fingerprint(np.float64(0.1)) == fingerprint(0.1)
-    # Written down, because results on disk are found by it.
-    assert fingerprint("a", 1, 0.1) == "84c79b69ebcae7df28e2d0c577dd8270"
-
-
-def test_what_has_no_fingerprint_is_refused():
-    with pytest.raises(TypeError, match="plain values"):
-        fingerprint(object())

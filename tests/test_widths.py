@@ -8,9 +8,10 @@ import xarray
 from cases import SPREAD, A, Case, fit_of, problem_of, widths_of
 
 from identifiability.inference import widths as widths_module
-from identifiability.inference.archive import package_version, to_datatree, write_netcdf
+from identifiability.inference.archive import to_datatree, write_netcdf
 from identifiability.inference.curvature import curvature
 from identifiability.inference.widths import VERDICTS, judge, widths
+from identifiability.provenance import package_version
 
 AGREEING = [case for case, verdicts in SPREAD.items() if verdicts == (A, A, A)]
 DEPARTING = [case for case in SPREAD if case not in AGREEING]

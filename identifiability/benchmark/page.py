@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from identifiability.benchmark.score import OUTCOMES, Score, wilson
-from identifiability.inference.archive import package_version
+from identifiability.provenance import package_version
 
 _TIERS = {
     "singles": "one effect",

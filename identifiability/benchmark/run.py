@@ -11,8 +11,8 @@ from identifiability.benchmark.cases import CaseSpec, hidden_cases
 from identifiability.benchmark.score import Score, matched, outcome_of
 from identifiability.errors import InputError
 from identifiability.files import write_json
-from identifiability.inference.archive import package_version
 from identifiability.investigation.investigate import investigate
+from identifiability.provenance import package_version
 
 WHOLE = ("singles", "pairs", "unknown", "controls", "nulls")
 

@@ -147,7 +147,7 @@ def save_results(result: RecordingFit, out: Path) -> None:
 
 def record(result: RecordingFit) -> dict[str, Any]:
     """Plain record of a fit, for JSON."""
-    from identifiability.inference.archive import package_version
+    from identifiability.provenance import package_version
 
     held = result.held_out
     return {

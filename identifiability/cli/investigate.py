@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import shutil
 import sys
 import time
 from collections.abc import Callable
@@ -24,7 +25,8 @@ def add_parser(commands: Any) -> None:
         description="Compare stiffness, damping and inertia with recorded trials, see where they "
         "fail, learn which physical effect is missing, add it, and judge it on trials that were "
         "not fitted. Or learn that nothing is missing, that two effects cannot be told apart, that "
-        "it is the sensor, or that it is none of the effects known.",
+        "it is the sensor, or that it is none of the effects known. An interrupted run goes on "
+        "where it was when the same command is typed again.",
     )
     add_file_options(parser)
     parser.add_argument(
@@ -82,6 +84,9 @@ def run(options: argparse.Namespace) -> int:
     trials, held_out = read_trials(options, kept), read_trials(options, held_files)
     limits = _limits(options.limits, [*trials, *held_out])
     out = output_folder(options.out)
+    fits = out / "fits"
+    if n_fits := sum(1 for _ in fits.glob("*.npz")):
+        print(f"{n_fits} fits of a run that was stopped are not done again", file=sys.stderr)
     findings = investigate(
         trials,
         held_out,
@@ -91,9 +96,11 @@ def run(options: argparse.Namespace) -> int:
         most=options.most,
         with_widths=not options.no_widths,
         seed=options.seed,
+        kept=fits,
         progress=_clock(),
     )
     written = save(findings, out, command=_command())
+    shutil.rmtree(fits, ignore_errors=True)
     print(summary(findings))
     print(f"\nwritten: {out}/" + ", ".join(written))
     return 0

@@ -39,9 +39,9 @@ def run(options: argparse.Namespace) -> int:
 
     from identifiability.cli.main import PARTIAL
     from identifiability.files import output_folder, replacing, write_json, write_text
-    from identifiability.inference.archive import package_version
     from identifiability.plots import paper as draw
     from identifiability.plots.style import save
+    from identifiability.provenance import package_version
     from identifiability.study import paper as study
     from identifiability.study.paper_record import RATIO, nearest_example, record
     from identifiability.study.replication import page

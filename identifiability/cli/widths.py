@@ -125,9 +125,10 @@ def save_setting(
 ) -> None:
     """Write posterior, corner plot and record of one setting into a folder."""
     from identifiability.files import write_json
-    from identifiability.inference.archive import package_version, write_netcdf
+    from identifiability.inference.archive import write_netcdf
     from identifiability.plots.corner import corner_figure
     from identifiability.plots.style import save
+    from identifiability.provenance import package_version
 
     write_netcdf(problem, result, out / "posterior.nc")
     save(corner_figure(result, problem.model, title=title), out / "corner.png")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,17 +10,10 @@ import numpy as np
 from identifiability.files import replacing
 from identifiability.inference.problem import Problem
 from identifiability.inference.widths import Widths
+from identifiability.provenance import package_version
 
 if TYPE_CHECKING:
     import xarray
-
-
-def package_version() -> str:
-    """Version of this package, "0+unknown" if it is not installed."""
-    try:
-        return version("identifiability")
-    except PackageNotFoundError:
-        return "0+unknown"
 
 
 def to_datatree(problem: Problem, result: Widths) -> xarray.DataTree:

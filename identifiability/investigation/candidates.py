@@ -115,7 +115,9 @@ class Workbench:
 
     evidence: Evidence
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    _observations: dict[int, list[Observation]] = field(default_factory=dict, repr=False)
+    _observations: dict[int, list[Observation]] = field(
+        default_factory=dict, init=False, repr=False
+    )
 
     def problem(
         self, model: Model, part: Sequence[Ready], *, refined: Sequence[str] = ()

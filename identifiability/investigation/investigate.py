@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
@@ -21,6 +22,7 @@ from identifiability.inference.widths import Widths, widths
 from identifiability.investigation.candidates import Candidate, Workbench, owners
 from identifiability.investigation.compare import Comparison, compare
 from identifiability.investigation.evidence import Evidence, gather
+from identifiability.investigation.kept import KeepingWorkbench
 from identifiability.investigation.locate import Location, locate
 from identifiability.investigation.next_experiment import Limits, NextExperiment, next_experiment
 from identifiability.investigation.power import Detectable, detectable
@@ -100,6 +102,9 @@ class Investigation:
         Other bounds than the physical ones, by parameter name.
     lowpass_hz : float or None
         Zero-phase low-pass [Hz] of both channels where the angle is imposed.
+    kept : Path, optional
+        Folder in which every fit is kept as soon as it is done; the same investigation, run again,
+        reads them (see `KeepingWorkbench`).
     progress : callable
         Told ``(what, done, total)``.
 
@@ -127,13 +132,20 @@ class Investigation:
         library: Mapping[str, type[Effect]] | None = None,
         bounds: Mapping[str, tuple[float, float]] | None = None,
         lowpass_hz: float | None = LOWPASS_HZ,
+        kept: Path | None = None,
         progress: Progress = _silent,
     ) -> None:
         self.library = dict(EFFECTS if library is None else library)
-        self.bench = Workbench(gather(trials, held_out, lowpass_hz=lowpass_hz), dict(bounds or {}))
+        evidence = gather(trials, held_out, lowpass_hz=lowpass_hz)
+        others = dict(bounds or {})
+        self.bench = (
+            Workbench(evidence, others)
+            if kept is None
+            else KeepingWorkbench(evidence, others, folder=kept)
+        )
         self.warnings: tuple[str, ...] = ()
         if self.evidence.has_noise and self.evidence.moves_early and self._leads_are_motion():
-            self.bench = Workbench(self.evidence.without_leads(), self.bench.bounds)
+            self.bench = replace(self.bench, evidence=self.evidence.without_leads())
             self.warnings = (_MOVING,)
         self._searcher = Searcher(self.bench, self.library, progress)
 
@@ -250,13 +262,14 @@ def investigate(
     most: int = MOST_EFFECTS,
     with_widths: bool = True,
     seed: int = 1,
+    kept: Path | None = None,
     progress: Progress = _silent,
 ) -> Findings:
     """Find out what a joint model misses in recorded trials.
 
     Parameters
     ----------
-    trials, held_out, library, bounds, lowpass_hz, progress
+    trials, held_out, library, bounds, lowpass_hz, kept, progress
         See `Investigation`.
     model : Model, optional
         The model to start from; ``KBI()`` by default.
@@ -278,7 +291,13 @@ def investigate(
         Where the trials cannot be investigated.
     """
     study = Investigation(
-        trials, held_out, library=library, bounds=bounds, lowpass_hz=lowpass_hz, progress=progress
+        trials,
+        held_out,
+        library=library,
+        bounds=bounds,
+        lowpass_hz=lowpass_hz,
+        kept=kept,
+        progress=progress,
     )
     warnings = list(study.warnings)
 

@@ -729,7 +729,7 @@ class Searcher:
         if key not in self.refits:
             evidence = self.bench.evidence
             both = replace(evidence, fitted=(*evidence.fitted, *evidence.held_out), held_out=())
-            self.refits[key] = Workbench(both, self.bench.bounds).fit(
+            self.refits[key] = replace(self.bench, evidence=both).fit(
                 candidate.model, [candidate.values], refined=candidate.refined
             )
         return self.refits[key]

@@ -24,8 +24,9 @@ from identifiability.inference.problem import Problem
 from identifiability.inference.widths import Widths, widths
 from identifiability.measurement.noise import READINGS
 from identifiability.measurement.perturbations import PERTURBATIONS
+from identifiability.provenance import fingerprint
 from identifiability.study.setting import Setting, measured_problem
-from identifiability.study.sweep import Arrays, Outcome, fingerprint, sweep
+from identifiability.study.sweep import Arrays, Outcome, sweep
 
 N_DRAWS = 250
 LONGEST = 10.0  # [s]; beyond it a duration is likely to be in milliseconds

@@ -12,8 +12,8 @@ import numpy as np
 import xarray as xr
 
 from identifiability.files import replacing
-from identifiability.inference.archive import package_version
 from identifiability.joint.model import KBI
+from identifiability.provenance import package_version
 from identifiability.study.atlas import N_DRAWS, Plan
 from identifiability.study.sweep import Outcome
 

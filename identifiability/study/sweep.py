@@ -8,9 +8,7 @@ of its own, and only the culprit is recorded as failed.
 
 from __future__ import annotations
 
-import dataclasses
 import faulthandler
-import hashlib
 import json
 import multiprocessing
 import os
@@ -20,7 +18,6 @@ import tempfile
 import threading
 import time
 import traceback
-import zipfile
 from collections import deque
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import (
@@ -42,7 +39,8 @@ import numpy as np
 from tqdm import tqdm
 
 from identifiability.errors import InputError
-from identifiability.files import output_folder, replacing
+from identifiability.files import output_folder, read_arrays, write_arrays
+from identifiability.provenance import fingerprint, package_version
 
 T = TypeVar("T")
 Arrays = dict[str, np.ndarray]
@@ -173,44 +171,10 @@ def sweep(
     return {name: found[name] for name in tasks}
 
 
-def fingerprint(*parts: Any) -> str:
-    """Hash of values that does not depend on process, machine or the order of keys.
-
-    Parameters
-    ----------
-    *parts
-        Dataclasses, mappings, sequences, numbers, texts or arrays.
-
-    Returns
-    -------
-    str
-        32 hexadecimal digits.
-    """
-    text = json.dumps(parts, sort_keys=True, default=_plain)
-    return hashlib.sha256(text.encode()).hexdigest()[:32]
-
-
-def _plain(value: Any) -> Any:
-    if dataclasses.is_dataclass(value) and not isinstance(value, type):
-        fields = {f.name: getattr(value, f.name) for f in dataclasses.fields(value)}
-        return {"class": type(value).__qualname__, **fields}
-    if isinstance(value, np.generic):
-        return value.item()
-    if isinstance(value, np.ndarray):
-        digest = hashlib.sha256(np.ascontiguousarray(value).tobytes()).hexdigest()
-        return {"dtype": value.dtype.str, "shape": value.shape, "sha256": digest}
-    if isinstance(value, Mapping):
-        return dict(value)
-    raise TypeError(f"cannot tell whether a {type(value).__name__} has changed; use plain values")
-
-
 class _Keep:
     """Results and log on disk; nothing at all without a folder."""
 
     def __init__(self, folder: Path | None, function: Callable[..., Any], schema: int) -> None:
-        # Imported here, because it brings JAX along, which not every worker needs.
-        from identifiability.inference.archive import package_version
-
         self.folder = None if folder is None else output_folder(Path(folder))
         self.identity = (
             f"{function.__module__}.{function.__qualname__}",
@@ -240,13 +204,7 @@ class _Keep:
     def find(self, task: Any) -> Arrays | None:
         """Read the result of a task, if there is one that can be read."""
         path = self.path(task)
-        if path is None or not path.exists():
-            return None
-        try:
-            with np.load(path, allow_pickle=False) as stored:
-                return {name: stored[name] for name in stored.files}
-        except (OSError, EOFError, ValueError, zipfile.BadZipFile):
-            return None
+        return None if path is None else read_arrays(path)
 
     def record(self, label: str, outcome: Outcome, task: Any, trace: str) -> None:
         """Write a result, then a line of the log."""
@@ -254,8 +212,7 @@ class _Keep:
         if path is None or self.log is None:
             return
         if outcome.arrays is not None:
-            with replacing(path) as temporary, temporary.open("wb") as file:
-                np.savez(file, **outcome.arrays)  # type: ignore[arg-type]
+            write_arrays(path, outcome.arrays)
         entry = {
             "time": datetime.now(UTC).isoformat(timespec="seconds"),
             "sweep": label,

@@ -1,0 +1,127 @@
+"""Fits kept on disk: read again bit for bit, for the same question only."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_investigation import HELD, JOINT, trials
+
+from identifiability.errors import InputError
+from identifiability.inference import fitting
+from identifiability.investigation import candidates
+from identifiability.investigation.candidates import Workbench
+from identifiability.investigation.evidence import gather
+from identifiability.investigation.investigate import investigate
+from identifiability.investigation.kept import KeepingWorkbench
+from identifiability.investigation.record import investigation_record
+from identifiability.joint.effects import EFFECTS, SeriesTendon
+from identifiability.joint.model import KBI
+
+MODEL = KBI() + SeriesTendon()
+VALUES = JOINT | {"series_tendon.stiffness": 60.0}
+
+
+@pytest.fixture(scope="module")
+def evidence():
+    return gather(trials(MODEL, VALUES), trials(MODEL, VALUES, seed=9, conditions=HELD))
+
+
+@pytest.fixture
+def fits(monkeypatch):
+    """Models that were fitted, not read."""
+    done = []
+
+    def counted(problem, *args, **options):
+        done.append(problem.model.effect_keys)
+        return fitting.explore(problem, *args, **options)
+
+    monkeypatch.setattr(candidates, "explore", counted)
+    return done
+
+
+def assert_same(one, two):
+    for part in ("fitted", "held_out"):
+        a, b = getattr(one, part), getattr(two, part)
+        assert [x.tobytes() for x in a.by_trial] == [x.tobytes() for x in b.by_trial]
+        assert (a.errors.tobytes(), a.weighted) == (b.errors.tobytes(), b.weighted)
+    plain = [
+        {k: v for k, v in vars(c).items() if k not in ("fitted", "held_out", "seconds")}
+        for c in (one, two)
+    ]
+    assert plain[0] == plain[1]
+
+
+@pytest.mark.parametrize("held", [True, False])
+def test_a_kept_fit_is_read_as_it_was(tmp_path, evidence, fits, held):
+    evidence = evidence if held else replace(evidence, held_out=())
+    plain = Workbench(evidence).fit(MODEL, [VALUES])
+    first = KeepingWorkbench(evidence, folder=tmp_path).fit(MODEL, [VALUES])
+    assert len(fits) == 2
+    again = KeepingWorkbench(evidence, folder=tmp_path).fit(MODEL, [VALUES])
+    assert len(fits) == 2
+    assert_same(plain, first)
+    assert_same(plain, again)
+
+
+def test_another_question_is_another_fit(tmp_path, evidence, fits):
+    def ask(trials_=evidence, bounds=None, model=MODEL, start=VALUES, **options):
+        bench = KeepingWorkbench(trials_, bounds or {}, folder=tmp_path)
+        return bench.fit(model, [start], **options)
+
+    ask()
+    ask(bounds={"K": (1.0, 40.0)})
+    ask(start=VALUES | {"K": 31.0})
+    ask(thorough=False)
+    ask(model=KBI(), start=JOINT)
+    ask(trials_=replace(evidence, held_out=evidence.held_out[:1]))
+    ask(trials_=evidence.without_leads())
+    assert len(fits) == len(list(tmp_path.iterdir())) == 7
+
+
+def test_a_damaged_file_is_written_anew(tmp_path, evidence, fits):
+    bench = KeepingWorkbench(evidence, folder=tmp_path)
+    first = bench.fit(KBI(), [JOINT])
+    (file,) = tmp_path.iterdir()
+    file.write_bytes(file.read_bytes()[:100])
+    assert_same(first, bench.fit(KBI(), [JOINT]))
+    assert len(fits) == 2
+    assert_same(first, bench.fit(KBI(), [JOINT]))
+    assert len(fits) == 2
+
+
+def test_a_fit_that_failed_is_tried_again(tmp_path, evidence, monkeypatch):
+    def fails(*args, **options):
+        raise InputError("no luck")
+
+    bench = KeepingWorkbench(evidence, folder=tmp_path)
+    with monkeypatch.context() as patched:
+        patched.setattr(candidates, "explore", fails)
+        assert bench.fit(KBI(), [JOINT]).failure == "no luck"
+    assert not list(tmp_path.iterdir())
+    assert not bench.fit(KBI(), [JOINT]).failure
+
+
+def test_an_investigation_that_was_stopped_goes_on(tmp_path, fits):
+    library = {key: EFFECTS[key] for key in ("series_tendon", "gravity", "coulomb_friction")}
+    hidden = trials(MODEL, VALUES), trials(MODEL, VALUES, seed=9, conditions=HELD)
+
+    def study(**options):
+        return investigate(*hidden, library=library, with_widths=False, **options)
+
+    whole = study()
+    n_whole = len(fits)
+
+    def stop(what, done, total):
+        if "a glance gravity" in what:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        study(kept=tmp_path, progress=stop)
+    n_stopped = len(fits) - n_whole
+    n_kept = len(list(tmp_path.iterdir()))
+    assert 3 <= n_kept <= n_stopped < n_whole
+    resumed = study(kept=tmp_path)
+    assert len(fits) - n_whole - n_stopped == n_whole - n_kept
+    records = [investigation_record(found, command="") for found in (whole, resumed)]
+    assert records[0] == records[1]
+    assert np.isfinite(records[0]["baseline"]["error_fit"])
