@@ -10,6 +10,7 @@ from identifiability.benchmark.cases import hidden_cases
 from identifiability.benchmark.score import matched, outcome_of, wilson
 from identifiability.cli.main import main
 from identifiability.errors import InputError
+from identifiability.investigation.admission import DECISIVE, Gate, Ranked, only_held_out_objects
 from identifiability.investigation.candidates import (
     NOTHING,
     Candidate,
@@ -21,13 +22,7 @@ from identifiability.investigation.candidates import (
 from identifiability.investigation.equivalence import equivalence_set
 from identifiability.investigation.evidence import Evidence, gather
 from identifiability.investigation.investigate import Investigation
-from identifiability.investigation.search import (
-    DECISIVE,
-    Ranked,
-    Search,
-    Searcher,
-    only_held_out_objects,
-)
+from identifiability.investigation.search import Search, Searcher
 from identifiability.joint.effects import (
     EFFECTS,
     LooseCoupling,
@@ -307,10 +302,10 @@ def test_descriptions_unmask_the_effects_that_stand_for_them(true, values, belie
     searcher = Searcher(study.bench)
     baseline = study.fit(KBI())
     model = sum((EFFECTS[key]() for key in believed), KBI())
-    final = searcher.fit(model, baseline, refined=believed)
+    final = searcher.fitter.fit(model, baseline, refined=believed)
     tried = [
         r
-        for r in searcher._descriptions(final, baseline, searcher._leaves_noise(final))
+        for r in searcher._descriptions(final, baseline, searcher.gate.leaves_noise(final))
         if r.passes
     ]
     best = max(tried, key=lambda r: r.evidence, default=None)
@@ -420,12 +415,11 @@ def test_a_further_effect_that_removes_little_may_only_mend_the_others(
             model = model + EFFECTS[key]()
         return Candidate(model, {}, (), Residual((), np.array([error]), 1.0), NOTHING)
 
-    searcher = Searcher(Workbench(gather(trials(KBI(), JOINT))))
-    searcher.baseline = candidate(0.1)
+    gate = Gate(Workbench(gather(trials(KBI(), JOINT))), candidate(0.1))
     before, larger = candidate(current, "gravity"), candidate(9e-4, "gravity", "second_mass")
-    assert searcher._only_mends(larger, before) is mends
+    assert gate.only_mends(larger, before) is mends
     # The first effect has none before it that it could mend.
-    assert not searcher._only_mends(before, searcher.baseline)
+    assert not gate.only_mends(before, gate.first)
 
 
 @pytest.mark.parametrize(
@@ -473,7 +467,7 @@ def tendon():
     searcher = Searcher(Workbench(gather(*hidden)))
     base = searcher.bench.fit(KBI(), [JOINT])
     keys = ("series_tendon", "maxwell_branch", "gravity")
-    return searcher, {key: searcher.fit(KBI() + EFFECTS[key](), base) for key in keys}
+    return searcher, {key: searcher.fitter.fit(KBI() + EFFECTS[key](), base) for key in keys}
 
 
 @pytest.mark.parametrize(

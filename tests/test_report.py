@@ -9,11 +9,11 @@ import pytest
 from test_investigation import HELD, JOINT, trials
 
 from identifiability.files import plain
+from identifiability.investigation.admission import Ranked
 from identifiability.investigation.investigate import Investigation, investigate
 from identifiability.investigation.next_experiment import RESOLVED, Limits, next_experiment
 from identifiability.investigation.power import detectable
 from identifiability.investigation.record import investigation_record
-from identifiability.investigation.search import Ranked
 from identifiability.joint.effects import EFFECTS
 from identifiability.joint.model import KBI
 from identifiability.report.investigation import _ranking_row, write_report

@@ -6,7 +6,7 @@ import pytest
 from identifiability.benchmark.cases import hidden_cases
 from identifiability.investigation.candidates import Workbench
 from identifiability.investigation.evidence import gather
-from identifiability.investigation.search import baseline
+from identifiability.investigation.fitter import baseline
 from identifiability.investigation.unexplained import DECISIVE, unexplained
 from identifiability.joint.effects import EFFECTS
 from identifiability.joint.model import KBI

@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 from test_investigation import HELD, JOINT, trials
 
+from identifiability.investigation.admission import ONLY_MENDS, Ranked
 from identifiability.investigation.candidates import Candidate, Residual
 from identifiability.investigation.evidence import gather
 from identifiability.investigation.power import Detectable
-from identifiability.investigation.search import ONLY_MENDS, Ranked, Search, Step
+from identifiability.investigation.search import Search, Step
 from identifiability.investigation.unexplained import Family, Unexplained
 from identifiability.investigation.verdict import (
     EXPLAINED_SHARE,

@@ -6,15 +6,15 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from identifiability.investigation.search import (
+from identifiability.investigation.admission import (
     DECISIVE,
     FORM,
     Ranked,
-    Search,
     pooled_error,
     predicts_worse,
     unpenalised,
 )
+from identifiability.investigation.search import Search
 from identifiability.joint.effects.base import Effect
 
 

@@ -22,6 +22,7 @@ from identifiability.inference.widths import Widths, widths
 from identifiability.investigation.candidates import Candidate, Workbench, owners
 from identifiability.investigation.compare import Comparison, compare
 from identifiability.investigation.evidence import Evidence, gather
+from identifiability.investigation.fitter import baseline
 from identifiability.investigation.kept import KeepingWorkbench
 from identifiability.investigation.locate import Location, locate
 from identifiability.investigation.next_experiment import Limits, NextExperiment, next_experiment
@@ -31,7 +32,6 @@ from identifiability.investigation.search import (
     Search,
     Searcher,
     Step,
-    baseline,
 )
 from identifiability.investigation.unexplained import Unexplained, unexplained
 from identifiability.investigation.verdict import Verdict, judge

@@ -8,13 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from identifiability.errors import InputError
+from identifiability.investigation.admission import DECISIVE
 from identifiability.investigation.candidates import (
     Candidate,
     Workbench,
     effective_samples,
     starting_values,
 )
-from identifiability.investigation.search import DECISIVE
 from identifiability.joint.effects.base import Effect
 from identifiability.joint.model import Model
 

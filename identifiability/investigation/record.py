@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 
 from identifiability.files import plain
+from identifiability.investigation.admission import Ranked
 from identifiability.investigation.candidates import Candidate
 from identifiability.investigation.evidence import Ready
 from identifiability.investigation.investigate import Findings
 from identifiability.investigation.pinned import not_pinned_down
-from identifiability.investigation.search import Ranked
 from identifiability.investigation.unexplained import Unexplained
 from identifiability.provenance import package_version
 

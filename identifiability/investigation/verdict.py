@@ -7,11 +7,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from identifiability.investigation.admission import DECISIVE, FORM, ONLY_MENDS, Ranked
 from identifiability.investigation.candidates import Candidate, effective_samples
 from identifiability.investigation.equivalence import comes_near, equivalence_set, same_form
 from identifiability.investigation.evidence import Evidence
 from identifiability.investigation.power import Detectable
-from identifiability.investigation.search import DECISIVE, FORM, ONLY_MENDS, Ranked, Search
+from identifiability.investigation.search import Search
 from identifiability.investigation.unexplained import Unexplained
 from identifiability.joint.effects.base import Effect
 

@@ -10,8 +10,9 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from identifiability.inference.widths import Widths
+from identifiability.investigation.admission import DECISIVE
 from identifiability.investigation.investigate import Findings
-from identifiability.investigation.search import DECISIVE, Step
+from identifiability.investigation.search import Step
 from identifiability.plots.style import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILLION, styled
 
 _FEWEST = 1.0  # evidence below it is drawn at this length: the axis is logarithmic

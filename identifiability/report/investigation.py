@@ -7,9 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from identifiability.files import write_text
+from identifiability.investigation.admission import DECISIVE, Ranked
 from identifiability.investigation.investigate import Findings
 from identifiability.investigation.pinned import interval, not_pinned_down
-from identifiability.investigation.search import DECISIVE, Ranked, Step
+from identifiability.investigation.search import Step
 from identifiability.plots.investigation import ladder_figure, ranking_figure, widths_figure
 from identifiability.plots.investigation_unexplained import unexplained_figure
 from identifiability.plots.investigation_where import (

@@ -1,0 +1,153 @@
+"""Fits of the search: each model once, from starts about one that was fitted before."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from identifiability.investigation.candidates import Candidate, Workbench, starting_values
+from identifiability.joint.model import Model
+
+Fits = dict[tuple[tuple[str, ...], tuple[str, ...]], Candidate]
+"""By the model's effects, and those of them that are refined."""
+
+
+@dataclass(eq=False)
+class Fitter:
+    """Fits models to one body of evidence, each once.
+
+    Attributes
+    ----------
+    bench : Workbench
+    first : Candidate or None
+        The model that the search started from.
+    known : mapping
+        All fits.
+    """
+
+    bench: Workbench
+    first: Candidate | None = None
+    known: Fits = field(default_factory=dict)
+    _to_all: Fits = field(default_factory=dict, init=False, repr=False)
+
+    def fit(
+        self,
+        model: Model,
+        near: Candidate,
+        *,
+        refined: Sequence[str] = (),
+        thorough: bool = True,
+    ) -> Candidate:
+        """Fit a model from starts about a fitted one; each model is fitted once."""
+        refined = tuple(sorted(key for key in refined if key in model.effect_keys))
+        known = self.known.get((model.effect_keys, refined))
+        if known is not None:
+            found = self.bench.finish(known) if thorough else known
+        else:
+            starts = self._starts(model, near, refined)
+            found = self.bench.fit(model, starts, refined=refined, thorough=thorough)
+        self.known[model.effect_keys, refined] = found
+        return found
+
+    def _starts(
+        self, model: Model, near: Candidate, refined: tuple[str, ...]
+    ) -> list[dict[str, float]]:
+        names = model.parameter_names
+        shared = {name: value for name, value in near.values.items() if name in names}
+        if len(shared) == len(names) and set(refined) != set(near.refined):
+            return _refinements(model, near)
+        if not near.keys:
+            return starting_values(model, shared, most=6)
+        starts = starting_values(model, shared, most=2)
+        alone = self._alone([key for key in model.effect_keys if key not in near.keys])
+        if alone:
+            # A shape that served once is a better start than the nominal one.
+            starts[:1] = starting_values(model, shared | alone, most=1)
+        # With a second effect the first one may have to take another shape.
+        plain = {n: shared[n] for n in ("K", "B", "I")}
+        return starts + starting_values(model, plain, most=1)
+
+    def _alone(self, keys: Sequence[str]) -> dict[str, float]:
+        """Shapes that effects had when each was added to the baseline alone."""
+        return {
+            name: value
+            for key in keys
+            if (found := self.alone(key)) is not None
+            for name, value in found.values.items()
+            if name.startswith(f"{key}.") and found.model.parameters[name].null is None
+        }
+
+    def alone(self, key: str) -> Candidate | None:
+        """Plain fit of one effect added to the first model, if there was one."""
+        base = () if self.first is None else self.first.keys
+        found = self.known.get((tuple(sorted((*base, key))), ()))
+        return None if found is None or found.failure else found
+
+    def richer(self, plain: Candidate, key: str) -> Candidate:
+        """Fit with an effect refined, where it can be; the plain fit otherwise."""
+        if plain.failure or not refinable(plain, key):
+            return plain
+        richer = self.refine(plain, (*plain.refined, key))
+        return plain if richer.failure else richer
+
+    def refine(self, plain: Candidate, keys: Sequence[str]) -> Candidate:
+        """Fit with some effects refined."""
+        self.fit(plain.model, plain, refined=keys, thorough=False)
+        return self.fit(plain.model, plain, refined=keys)
+
+    def fit_to_all(self, candidate: Candidate) -> Candidate:
+        """Fit a candidate's model, from its values, to the held-out trials too."""
+        key = candidate.model.effect_keys, candidate.refined
+        if key not in self._to_all:
+            evidence = self.bench.evidence
+            both = replace(evidence, fitted=(*evidence.fitted, *evidence.held_out), held_out=())
+            self._to_all[key] = replace(self.bench, evidence=both).fit(
+                candidate.model, [candidate.values], refined=candidate.refined
+            )
+        return self._to_all[key]
+
+
+def baseline(
+    bench: Workbench, model: Model, guess: dict[str, float], *, refined: Sequence[str] = ()
+) -> Candidate:
+    """Fit of the model that the investigation starts from."""
+    starts = []
+    for factor in (1.0, 0.3, 3.0):
+        start = guess | {"K": factor * guess["K"], "B": guess["B"] / factor}
+        starts += starting_values(model, start, most=3 if model.effects else 1)
+    return bench.fit(model, starts, refined=refined)
+
+
+def refinable(candidate: Candidate, key: str) -> bool:
+    """Whether an effect of a candidate has refining parameters that are not free."""
+    return key not in candidate.refined and any(
+        p.plain is not None and name.startswith(f"{key}.")
+        for name, p in candidate.model.parameters.items()
+    )
+
+
+def _refinements(model: Model, near: Candidate) -> list[dict[str, float]]:
+    """Starts of the refined model: the plain optimum, and its refinements one way and the other."""
+    starts = [dict(near.values)]
+    new = {
+        name: (p, p.plain)
+        for name, p in model.parameters.items()
+        if p.plain is not None and name not in near.free
+    }
+    own = {name.split(".")[0] for name in new}
+    for side in (1.0, -1.0):
+        start = dict(near.values)
+        for name, (p, plain) in new.items():
+            # Most of the way to one side and, where there is one, to the other.
+            room = p.upper - plain if side > 0 or p.lower >= plain else p.lower - plain
+            start[name] = plain + float(np.clip(0.8 * room, -0.5, 0.8))
+        starts.append(start)
+        # The plain form may have gone astray for want of the refinement.
+        fresh = dict(start)
+        for name, p in model.parameters.items():
+            if name.split(".")[0] in own and p.plain is None and p.null is None:
+                fresh[name] = p.nominal
+        starts.append(fresh)
+    return starts
