@@ -12,8 +12,10 @@ from identifiability.investigation.candidates import Candidate
 from identifiability.investigation.compare import Comparison, Constancy
 from identifiability.investigation.evidence import Evidence, Ready
 from identifiability.investigation.imposed import starts
-from identifiability.investigation.locate import Curve, Location, TrialView
+from identifiability.investigation.locate import Location
 from identifiability.investigation.refits import NAMES, UNITS
+from identifiability.investigation.where.by_trial import TrialView
+from identifiability.investigation.where.in_state import Curve
 from identifiability.plots.style import BLACK, BLUE, GREY, ORANGE, SKY, VERMILLION, styled
 
 _MOST_TRIALS, _COLUMNS = 8, 4

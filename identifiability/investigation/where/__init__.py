@@ -1,0 +1,1 @@
+"""Views of where a model fails, one a file."""
