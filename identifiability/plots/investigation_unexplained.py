@@ -11,13 +11,8 @@ from matplotlib.colors import TwoSlopeNorm
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.patches import Patch
 
-from identifiability.investigation.unexplained import (
-    DECISIVE,
-    MemoryKernel,
-    MissingTorque,
-    StaticMap,
-    Unexplained,
-)
+from identifiability.investigation.readouts import MemoryKernel, MissingTorque, StaticMap
+from identifiability.investigation.unexplained import DECISIVE, Unexplained
 from identifiability.plots.style import BLUE, GREY, ORANGE, PURPLE, VERMILLION, styled
 
 _MOST_TRIALS, _MOST_FAMILIES = 4, 8
