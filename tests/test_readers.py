@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from scipy import io
 
 from identifiability.errors import InputError
-from identifiability.measurement.readers import parse_columns, read_trial
+from identifiability.measurement.columns import parse_columns
+from identifiability.measurement.readers import read_trial
 from identifiability.measurement.trials import Trial, onsets, quiet_lead
 from identifiability.measurement.units import parse_unit
 

@@ -5,7 +5,8 @@ import pytest
 from identifiability.investigation.investigate import Investigation
 from identifiability.joint.effects import EFFECTS
 from identifiability.joint.model import KBI
-from identifiability.measurement.readers import parse_columns, read_trial
+from identifiability.measurement.columns import parse_columns
+from identifiability.measurement.readers import read_trial
 
 
 def test_the_silverbox_has_a_cubic_spring_and_neither_a_quadratic_one_nor_friction(shared_data):

@@ -41,7 +41,8 @@ def add_file_options(parser: argparse.ArgumentParser) -> None:
 
 def read_trials(options: argparse.Namespace, files: Sequence[Path] | None = None) -> list[Trial]:
     """Read the trials that the file options name, or those in other files, read alike."""
-    from identifiability.measurement.readers import parse_columns, read_trial
+    from identifiability.measurement.columns import parse_columns
+    from identifiability.measurement.readers import read_trial
 
     columns = parse_columns(options.columns) if options.columns else None
     return [
