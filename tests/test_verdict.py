@@ -7,7 +7,7 @@ from test_investigation import HELD, JOINT, trials
 from identifiability.investigation.admission import ONLY_MENDS, Ranked
 from identifiability.investigation.candidates import Candidate, Residual
 from identifiability.investigation.evidence import gather
-from identifiability.investigation.explanation import Family
+from identifiability.investigation.library_free.explanation import Family
 from identifiability.investigation.power import Detectable
 from identifiability.investigation.search import Search, Step
 from identifiability.investigation.unexplained import Unexplained

@@ -20,19 +20,14 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from identifiability.investigation.candidates import Candidate, Workbench
-from identifiability.investigation.explanation import (
+from identifiability.investigation.library_free.explanation import (
     REMAINDER,
     Explainer,
     Explanation,
     Family,
     explainer,
 )
-from identifiability.investigation.library_free import (
-    Response,
-    bin_width,
-    binned,
-)
-from identifiability.investigation.readouts import (
+from identifiability.investigation.library_free.readouts import (
     DelayReadout,
     MemoryKernel,
     MissingTorque,
@@ -41,6 +36,7 @@ from identifiability.investigation.readouts import (
     read_delay,
     static_map,
 )
+from identifiability.investigation.library_free.traces import Response, bin_width, binned
 
 DECISIVE = 5.0
 """Difference of log evidence, in nats, that decides between kinds: odds of 150 to 1 where both were

@@ -11,7 +11,11 @@ from matplotlib.colors import TwoSlopeNorm
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.patches import Patch
 
-from identifiability.investigation.readouts import MemoryKernel, MissingTorque, StaticMap
+from identifiability.investigation.library_free.readouts import (
+    MemoryKernel,
+    MissingTorque,
+    StaticMap,
+)
 from identifiability.investigation.unexplained import DECISIVE, Unexplained
 from identifiability.plots.style import BLUE, GREY, ORANGE, PURPLE, VERMILLION, styled
 

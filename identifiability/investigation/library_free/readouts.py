@@ -7,17 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import lfilter
 
-from identifiability.investigation.explanation import Explainer, Explanation
-from identifiability.investigation.library_free import (
-    Response,
-    Term,
-    Trace,
-    inner_products,
-)
-from identifiability.investigation.linear_gaussian import (
+from identifiability.investigation.library_free.explanation import Explainer, Explanation
+from identifiability.investigation.library_free.linear_gaussian import (
     eliminate,
     side_by_side,
 )
+from identifiability.investigation.library_free.terms import Term
+from identifiability.investigation.library_free.traces import Response, Trace, inner_products
 
 _DRAWS = 200
 _COARSE_DELAYS = np.arange(0.0, 0.1201, 0.006)

@@ -1,12 +1,5 @@
 """Kinds of missing physics, each as a Gaussian process that no named effect stands behind.
 
-With an imposed torque the joint moves as ``y = S (tau - m)``: S is the response to torque, and m
-the torque that the model lacks, a function of the motion that took place. Against the prediction
-the residual is therefore ``-S m``, exactly and not only for small m, if m is computed from the
-motion as it was: what the model predicts plus the smooth part of the residual. (The recorded angle
-itself is too noisy to be differentiated.) For the same reason a change of K, B or I acts on that
-motion. With an imposed angle the motion is known and the residual is m itself.
-
 Each term is piecewise linear in time, lag or state between nodes, with a Gaussian process over the
 nodes, so that everything is linear in the values at the nodes.
 """
@@ -14,22 +7,14 @@ nodes, so that everything is linear in the values at the nodes.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.signal import fftconvolve
 
-from identifiability.inference.problem import Problem
-from identifiability.investigation.candidates import Candidate, Workbench
-from identifiability.investigation.evidence import Ready
-from identifiability.investigation.linear_gaussian import Columns, side_by_side, square_root
-from identifiability.joint.model import KBI, Model
-from identifiability.joint.response import simulate
-from identifiability.measurement.perturbations import SampledTorque
+from identifiability.investigation.library_free.linear_gaussian import side_by_side, square_root
+from identifiability.investigation.library_free.traces import Response, Trace
 
-_MOST_SAMPLES = 5000  # of all trials; more are averaged in bins
-_FILTERED_SPACING = 0.01  # s; samples behind a low-pass of 50 Hz are independent at this spacing
 _MOST_NODES = 500  # of a torque in time, over all trials
 _TORQUE_NODES, _DRIFT_NODES, _STIFFNESS_NODES = 0.01, 0.03, 0.05  # s between nodes
 _FASTEST_DRIFT, _SLOWEST_TORQUE = 0.15, 0.15  # s; a slower torque moves the joint as a drift does
@@ -40,69 +25,6 @@ _STATE_NODES = 13
 _THRESHOLDS = 14
 
 Roots = Callable[[np.ndarray], list[np.ndarray]]
-
-
-@dataclass(frozen=True, eq=False)
-class Trace:
-    """One fitted trial at its compared samples.
-
-    Attributes
-    ----------
-    ready : Ready
-    interval : float
-        Sampling interval [s].
-    imposed : array, shape (n,)
-        Imposed torque [Nm] or angle [rad].
-    residual : array, shape (n,)
-        Measured minus predicted response.
-    nuisance : array, shape (n, n_free)
-        Derivatives of the response with respect to the candidate's free parameters.
-    angle, velocity, acceleration : array, shape (n,)
-        The motion that took place, in rad and s.
-    response_rate : array, shape (n,)
-        Rate of the response: velocity [rad/s], or change of torque [Nm/s].
-    """
-
-    ready: Ready
-    interval: float
-    imposed: np.ndarray
-    residual: np.ndarray
-    nuisance: np.ndarray
-    angle: np.ndarray
-    velocity: np.ndarray
-    acceleration: np.ndarray
-    response_rate: np.ndarray
-
-    @cached_property
-    def time(self) -> np.ndarray:
-        """Time [s] since the first sample, shape (n,)."""
-        return np.arange(self.residual.size) * self.interval
-
-    @property
-    def motion(self) -> np.ndarray:
-        """What stiffness, damping and inertia multiply, shape (n, 3)."""
-        return np.column_stack([self.angle, self.velocity, self.acceleration])
-
-
-@dataclass(frozen=True, eq=False)
-class Response:
-    """How a missing torque shows in the response.
-
-    Attributes
-    ----------
-    impulses : dict of float to array, or None
-        By sampling interval, the response to 1 Nm that rises and falls linearly within one sample
-        either side; ``None`` where the angle is imposed.
-    """
-
-    impulses: dict[float, np.ndarray] | None
-
-    def to(self, torque: np.ndarray, interval: float) -> np.ndarray:
-        """Residual that missing torques leave, shape (n, m)."""
-        if self.impulses is None:
-            return torque
-        kernel = self.impulses[interval][: len(torque), None]
-        return -fftconvolve(torque, kernel, axes=0)[: len(torque)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,124 +64,6 @@ class Term:
     bounds: np.ndarray
     n_scales: int = 1
     nodes: tuple[np.ndarray, ...] = ()
-
-
-def traces_of(bench: Workbench, candidate: Candidate) -> tuple[list[Trace], Response]:
-    """Fitted trials as a candidate leaves them; the motion is still the predicted one."""
-    evidence, model = bench.evidence, candidate.model
-    problem = bench.problem(model, evidence.fitted, refined=candidate.refined)
-    nuisances = _jacobians(bench, problem, candidate)
-    traces = []
-    for ready, residual, nuisance in zip(
-        evidence.fitted, candidate.fitted.by_trial, nuisances, strict=True
-    ):
-        signals = ready.drive.signals[ready.first : ready.last]
-        trace = Trace(
-            ready,
-            ready.drive.interval,
-            signals[:, 0],
-            residual,
-            nuisance,
-            *(np.zeros(residual.size),) * 4,
-        )
-        traces.append(_moved(trace, np.zeros(residual.size)))
-    return traces, _response(candidate, traces)
-
-
-def _jacobians(bench: Workbench, problem: Problem, candidate: Candidate) -> list[np.ndarray]:
-    """Derivatives of each trial's response at the compared samples, pieces put together."""
-    evidence = bench.evidence
-    theta = candidate.model.vector(candidate.values)[list(problem.free)]
-    white = problem.jacobian(theta).reshape(*evidence.room, -1)
-    out, row = [], 0
-    for ready, sd in zip(evidence.fitted, evidence.weights_sd(evidence.fitted), strict=True):
-        collected: list[np.ndarray] = []
-        while sum(len(c) for c in collected) < ready.last - ready.first:
-            compared = problem.observations[row].scale > 0
-            collected.append(white[row, : compared.size][compared])
-            row += 1
-        out.append(sd * np.concatenate(collected))
-    return out
-
-
-def _moved(trace: Trace, smooth: np.ndarray) -> Trace:
-    """Put the smooth part of the residual on top of the predicted response."""
-    response = trace.ready.compared - trace.residual + smooth
-    rate = np.gradient(response, trace.interval)
-    if trace.ready.trial.driven == "angle":
-        ready = trace.ready
-        motion = ready.drive.signals[ready.first : ready.last].T
-    else:
-        motion = np.array([response, rate, np.gradient(rate, trace.interval)])
-    angle, velocity, acceleration = motion
-    return replace(
-        trace, angle=angle, velocity=velocity, acceleration=acceleration, response_rate=rate
-    )
-
-
-def follow(
-    traces: Sequence[Trace], smooth: Sequence[np.ndarray], candidate: Candidate, response: Response
-) -> list[Trace]:
-    """Traces whose motion, and what the parameters multiply, is that which took place.
-
-    Parameters
-    ----------
-    traces : sequence of Trace
-    smooth : sequence of array, shape (n,)
-        Smooth part of each residual.
-    candidate : Candidate
-    response : Response
-    """
-    effects = candidate.model.effects
-    # In series with a tendon, stiffness and damping multiply a motion that is not the joint's.
-    acting = ("I",) if any(e.place == "series" for e in effects) else ("K", "B", "I")
-    out = []
-    for trace, part in zip(traces, smooth, strict=True):
-        moved = _moved(trace, part)
-        nuisance = trace.nuisance.copy()
-        if trace.ready.trial.driven == "torque":
-            shift = response.to(moved.motion - trace.motion, trace.interval)
-            for i, name in enumerate(("K", "B", "I")):
-                if name in acting and name in candidate.free:
-                    nuisance[:, candidate.free.index(name)] += shift[:, i]
-        out.append(replace(moved, nuisance=nuisance))
-    return out
-
-
-def _response(candidate: Candidate, traces: Sequence[Trace]) -> Response:
-    """Response to torque: of a linear model its own, else of the K, B, I that come nearest to it.
-
-    Nearest is that which makes the same torque out of the predicted motion.
-    """
-    if traces[0].ready.trial.driven == "angle":
-        return Response(None)
-    model, values = candidate.model, dict(candidate.values)
-    if not all(effect.linear for effect in model.effects):
-        motion = np.concatenate([t.motion for t in traces])
-        torque = np.concatenate([t.imposed for t in traces])
-        scale = np.linalg.norm(motion, axis=0)
-        nearest = np.linalg.lstsq(motion / scale, torque, rcond=None)[0] / scale
-        lower = KBI().lower
-        model, values = KBI(), dict(zip("KBI", np.maximum(nearest, lower), strict=True))
-    longest: dict[float, int] = {}
-    for trace in traces:
-        longest[trace.interval] = max(longest.get(trace.interval, 0), trace.residual.size)
-    return Response({dt: _impulse(model, values, n, dt) for dt, n in longest.items()})
-
-
-def _impulse(model: Model, values: dict[str, float], n: int, interval: float) -> np.ndarray:
-    time = np.arange(n + 1) * interval
-    theta, substeps = model.vector(values), None if model.linear else 2
-    moved, still = (
-        simulate(
-            model, theta, SampledTorque(size * (time == time[1])).drive(time), substeps=substeps
-        )
-        for size in (1.0, 0.0)
-    )
-    return np.asarray((moved - still)[1:])
-
-
-# Pieces that terms are made of
 
 
 def interpolation(at: np.ndarray, nodes: np.ndarray) -> np.ndarray:
@@ -611,88 +415,3 @@ class Terms:
             _log_range((1e-4, 2.0), (1e-4, 2.0), (_FASTEST_CHANGE, 5.0)),
             n_scales=2,
         )
-
-
-@dataclass(frozen=True, eq=False)
-class Background:
-    """What every explanation has besides its terms: unknown levels, parameters, and noise.
-
-    Attributes
-    ----------
-    local : tuple of array, shape (n, m)
-        A constant, and the response to noise in the recorded torque where the quiet samples show
-        any that matters.
-    local_roots : list of array, shape (m, m)
-        Square roots of the prior covariances.
-    common : tuple of array, shape (n, n_free)
-        Derivatives by the candidate's free parameters.
-    common_root : array, shape (n_free, n_free)
-        Broad: a standard deviation of 100 %.
-    """
-
-    local: tuple[np.ndarray, ...]
-    local_roots: list[np.ndarray]
-    common: tuple[np.ndarray, ...]
-    common_root: np.ndarray
-
-
-def background(traces: Sequence[Trace], candidate: Candidate, torque_in_time: Term) -> Background:
-    """What every explanation has besides its terms.
-
-    Parameters
-    ----------
-    traces : sequence of Trace
-    candidate : Candidate
-    torque_in_time : Term
-        A torque of its own in every trial.
-    """
-    local, roots = [], []
-    variances = [_torque_noise(t, n) for t, n in zip(traces, torque_in_time.nodes, strict=True)]
-    felt = [
-        np.sqrt(v * np.mean(np.sum(c**2, axis=1)))
-        for c, v in zip(torque_in_time.columns, variances, strict=True)
-    ]
-    matters = any(f > 0.1 * t.ready.lead.sd for f, t in zip(felt, traces, strict=True))
-    for t, columns, variance in zip(traces, torque_in_time.columns, variances, strict=True):
-        # A level that was read from quiet samples is uncertain by less than the noise itself.
-        level = t.ready.lead.sd if t.ready.lead.n_samples else np.sqrt(t.ready.mean_square)
-        constant = np.full((t.residual.size, 1), max(level, 1e-12))
-        noisy = columns if matters else columns[:, :0]
-        local.append(np.hstack([constant, noisy]))
-        roots.append(np.diag([1.0, *(np.sqrt(variance),) * noisy.shape[1]]))
-    sizes = [max(abs(candidate.values[name]), 1e-3) for name in candidate.free]
-    return Background(tuple(local), roots, tuple(t.nuisance for t in traces), np.diag(sizes))
-
-
-def _torque_noise(trace: Trace, nodes: np.ndarray) -> float:
-    """Variance [Nm²] at the nodes of white noise in the recorded torque, from the quiet samples."""
-    ready = trace.ready
-    if trace.ready.trial.driven == "angle" or ready.lead.n_samples == 0:
-        return 0.0
-    quiet = ready.trial.torque[: ready.lead.n_samples]
-    return float(np.var(quiet) * trace.interval / (nodes[1] - nodes[0]))
-
-
-def bin_width(traces: Sequence[Trace]) -> int:
-    """Number of samples that are averaged: more where there are many, or they were filtered."""
-    width = -(-sum(t.residual.size for t in traces) // _MOST_SAMPLES)
-    if traces[0].ready.trial.driven == "angle":
-        width = max(width, round(_FILTERED_SPACING / traces[0].interval))
-    return max(width, 1)
-
-
-def binned(values: np.ndarray, width: int) -> np.ndarray:
-    """Averages over bins of so many samples along the first axis; a last part of a bin is left."""
-    n = len(values) // width
-    return np.asarray(values[: n * width].reshape(n, width, *values.shape[1:]).mean(axis=1))
-
-
-def inner_products(
-    traces: Sequence[Trace], local: Sequence[np.ndarray], common: Sequence[np.ndarray]
-) -> list[Columns]:
-    """Inner products of columns and residuals in bins."""
-    width = bin_width(traces)
-    return [
-        Columns.of(*(binned(x, width) for x in (own, shared, t.residual)))
-        for t, own, shared in zip(traces, local, common, strict=True)
-    ]

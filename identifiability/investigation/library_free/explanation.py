@@ -10,23 +10,21 @@ import numpy as np
 from scipy.optimize import minimize
 
 from identifiability.investigation.candidates import Candidate, Workbench
-from identifiability.investigation.library_free import (
-    Background,
-    Response,
-    Term,
-    Terms,
-    Trace,
-    background,
-    follow,
-    inner_products,
-    traces_of,
-)
-from identifiability.investigation.linear_gaussian import (
+from identifiability.investigation.library_free.background import Background, background
+from identifiability.investigation.library_free.linear_gaussian import (
     Columns,
     Posterior,
     TrialNoise,
     log_evidence,
     side_by_side,
+)
+from identifiability.investigation.library_free.terms import Term, Terms
+from identifiability.investigation.library_free.traces import (
+    Response,
+    Trace,
+    follow,
+    inner_products,
+    traces_of,
 )
 
 NAMES = {
