@@ -56,6 +56,8 @@ def test_the_readme_quotes_the_page(record):
     for line in table[: 2 + len(record["tiers"])]:
         assert line in readme
     assert f"{record['cases_run']} of {record['cases_in_tiers']} cases" in readme
+    minutes = sum(case["seconds"] for case in record["cases"]) / 60
+    assert f"some {10 * round(minutes / 10)} minutes" in readme
 
 
 def test_the_figure_has_a_row_for_what_no_effect_of_the_library_is():
