@@ -61,9 +61,28 @@ def test_a_larger_torque_tells_springs_apart_better(quiet_study):
     small, large = (r.best.expected_evidence for r in results)
     assert large > 4 * small > 0
     for r in results:
-        assert r.best.amplitude <= r.limits.torque * (1 + 1e-9)
-        assert r.best.peak_angle <= r.limits.angle
+        for design in (r.best, *r.others):
+            assert design.amplitude == design.peak_torque <= r.limits.torque
+            assert design.peak_angle <= r.limits.angle
         assert r.resolved == (r.best.expected_evidence >= RESOLVED)
+
+
+def test_an_imposed_motion_keeps_within_the_limit_of_torque():
+    moved = [replace(t, driven="angle") for t in trials(KBI(), JOINT)]
+    study = Investigation(moved, lowpass_hz=None, library=SMALL)
+    first, second = (
+        study.fit(KBI() + EFFECTS[f"{kind}_stiffness"]()) for kind in ("cubic", "quadratic")
+    )
+    for most in (50.0, 5.0):
+        limits = Limits(torque=most, angle=0.5, duration=0.5)
+        found = next_experiment(study.bench, first, second, ("cubic", "quadratic"), limits=limits)
+        designs = (found.best, *found.others)
+        assert len(designs) > 5
+        for design in designs:
+            assert design.amplitude == design.peak_angle <= limits.angle
+            assert design.peak_torque <= limits.torque
+        # A servo at its full angle would need more torque than it may.
+        assert min(design.peak_angle for design in designs) < limits.angle
 
 
 def test_a_failed_candidate_is_shown_and_does_not_stop_the_rest(tmp_path):

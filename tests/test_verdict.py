@@ -222,6 +222,19 @@ def test_a_rival_in_doubt_is_no_equal_and_the_doubt_is_said(evidence):
         assert (said in found.because) is bool(doubt)
 
 
+@pytest.mark.parametrize(("refitted", "member"), [(None, False), (-3.0, True), (-30.0, False)])
+def test_a_rival_that_does_as_well_fitted_to_all_trials_is_named(evidence, refitted, member):
+    final = candidate(1e-6, "gravity")
+    rank = Ranked(
+        *("cubic_stiffness", candidate(1e-6, "cubic_stiffness"), -40.0, -1.0, False, ""),
+        refitted=refitted,
+    )
+    found = verdict_of(evidence, final, "gravity", rank)
+    assert ("cubic_stiffness" in found.equivalence_sets[0]) is member
+    said = "With cubic stiffness in the place of gravity the held-out trials are predicted worse"
+    assert any(said in line for line in found.because) is member
+
+
 def test_what_each_of_several_effects_removes_is_said(evidence):
     found = verdict(evidence, ("stretch_reflex", "series_tendon"), 0.9)
     assert any("stretch reflex 90.0 %; series tendon 0.0 %" in line for line in found.because)

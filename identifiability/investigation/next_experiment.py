@@ -31,6 +31,7 @@ from identifiability.measurement.perturbations import (
 RESOLVED = 20.0
 """Expected evidence at which a pair counts as resolved: twice the decisive difference."""
 _EVALUATIONS = 30
+_SIZES = 10  # of a perturbation that are tried until the response keeps within the limits
 _LEAD = 0.05  # [s] of rest before the perturbation
 
 
@@ -41,9 +42,9 @@ class Limits:
     Attributes
     ----------
     torque : float
-        Largest torque [Nm], where torque is imposed.
+        Largest torque [Nm], imposed or met.
     angle : float
-        Largest excursion [rad].
+        Largest excursion [rad], imposed or met.
     duration : float
         Of the record [s].
     """
@@ -63,8 +64,8 @@ class Design:
         In words, with its parameters.
     amplitude : float
         Largest torque [Nm] or angle [rad] imposed.
-    peak_angle : float
-        Largest angle [rad] to expect.
+    peak_angle, peak_torque : float
+        Largest angle [rad] and torque [Nm] to expect of either model.
     expected_evidence : float
         T, for one trial.
     """
@@ -72,6 +73,7 @@ class Design:
     perturbation: str
     amplitude: float
     peak_angle: float
+    peak_torque: float
     expected_evidence: float
 
 
@@ -217,21 +219,29 @@ def _assess(
     limits: Limits,
 ) -> Design:
     angle_driven = bench.evidence.driven == "angle"
-    unit = "rad" if angle_driven else "Nm"
-    amplitude = limits.angle if angle_driven else limits.torque
-    for _ in range(6):
+    amplitude, most = limits.torque, limits.angle
+    if angle_driven:
+        amplitude, most = most, amplitude
+    for _ in range(_SIZES):
         drive = _drive(signal * amplitude, time, angle_driven)
-        response = _simulated(final, drive)
-        peak = amplitude if angle_driven else float(np.abs(response).max())
-        if peak <= 1.001 * limits.angle:
+        responses = [_simulated(candidate, drive) for candidate in (final, rival)]
+        reached = max(float(np.abs(response).max()) for response in responses)
+        if not reached > most:
             break
-        amplitude *= 0.95 * limits.angle / peak
+        amplitude *= 0.95 * most / reached
+    else:
+        raise InputError("no size of the perturbation was found that keeps within the limits")
     evidence = min(
-        _distance(bench, rival, drive, response, noise),
-        _distance(bench, final, drive, _simulated(rival, drive), noise),
+        _distance(bench, rival, drive, responses[0], noise),
+        _distance(bench, final, drive, responses[1], noise),
     )
-    what = f"{words} with {'an angle' if angle_driven else 'a torque'} of {amplitude:.2g} {unit}"
-    return Design(what, float(amplitude), peak, float(evidence))
+    angle, torque = (amplitude, reached) if angle_driven else (reached, amplitude)
+    what = (
+        f"{words} with an angle of {angle:.2g} rad (and a torque up to {torque:.2g} Nm)"
+        if angle_driven
+        else f"{words} with a torque of {torque:.2g} Nm (and an angle up to {angle:.2g} rad)"
+    )
+    return Design(what, float(amplitude), float(angle), float(torque), float(evidence))
 
 
 def _drive(signal: np.ndarray, time: np.ndarray, angle_driven: bool) -> Drive:

@@ -324,6 +324,13 @@ def _reasons(
                 f"{_plain(members[0]).capitalize()} and {_plain(same[0])} are of one form: torque "
                 "and angle can never tell them apart."
             )
+        later = [_plain(r.key) for r in alike if r.refitted is not None]
+        if later:
+            out.append(
+                f"With {' or '.join(later)} in the place of {_plain(members[0])} the held-out "
+                "trials are predicted worse, but fitted as well when all trials are: such a "
+                "prediction rests on parameters that the other trials leave open."
+            )
         near = [
             r.key
             for r in alike

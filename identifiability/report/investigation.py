@@ -202,13 +202,12 @@ def write_report(findings: Findings, record: dict[str, Any], out: Path) -> list[
     else:
         page.paragraph(following.sentence)
         page.table(
-            ["perturbation", "expected evidence a trial", "largest angle [rad]"],
+            ["perturbation", "expected evidence a trial"],
             [
-                [d.perturbation, f"{d.expected_evidence:.3g}", f"{d.peak_angle:.3g}"]
+                [d.perturbation, f"{d.expected_evidence:.3g}"]
                 for d in (following.best, *following.others)
             ],
             text_columns=(0,),
-            marked=("chosen",),
         )
 
     page.heading("How this was computed")
