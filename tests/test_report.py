@@ -3,6 +3,7 @@
 import json
 import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from identifiability.investigation.power import detectable
 from identifiability.investigation.record import investigation_record
 from identifiability.joint.effects import EFFECTS
 from identifiability.joint.model import KBI
+from identifiability.plots.investigation import widths_figure
 from identifiability.report.investigation import _ranking_row, write_report
 
 SMALL = {k: EFFECTS[k] for k in ("quadratic_stiffness", "cubic_stiffness")}
@@ -83,6 +85,29 @@ def test_an_imposed_motion_keeps_within_the_limit_of_torque():
             assert design.peak_torque <= limits.torque
         # A servo at its full angle would need more torque than it may.
         assert min(design.peak_angle for design in designs) < limits.angle
+
+
+@pytest.mark.parametrize(
+    ("verdict", "shown"),
+    [
+        ("agrees", ["slice (others held)", "profile", "posterior sd"]),
+        ("not converged", ["slice (others held)", "profile"]),
+    ],
+)
+def test_the_widths_figure_names_the_widths_that_there_are(verdict, shown):
+    row = SimpleNamespace(
+        name="K",
+        optimum=-2.0,
+        slice=0.1,
+        quadratic=np.nan,
+        profile=0.3,
+        posterior_sd=0.2,
+        verdict=verdict,
+    )
+    figure = widths_figure(SimpleNamespace(rows=[row]))
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == shown
+    slices = figure.axes[0].lines[0].get_xdata()
+    assert slices == pytest.approx([0.05])
 
 
 def test_a_failed_candidate_is_shown_and_does_not_stop_the_rest(tmp_path):

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from identifiability.inference.widths import Widths
@@ -115,37 +114,31 @@ def ladder_figure(findings: Findings) -> Figure:
 
 
 def widths_figure(result: Widths) -> Figure:
-    """Each parameter's widths side by side, in units of its value."""
+    """Each parameter's widths side by side, in units of its value; those that there are."""
     rows = result.rows
+    known = [None if row.verdict == "not converged" else row.posterior_sd for row in rows]
+    kinds: tuple[tuple[str, str, Sequence[float | None]], ...] = (
+        ("slice (others held)", GREY, [row.slice for row in rows]),
+        ("quadratic (Hessian)", VERMILLION, [row.quadratic for row in rows]),
+        ("profile", ORANGE, [row.profile for row in rows]),
+        ("posterior sd", BLUE, known),
+    )
     with styled():
         figure = Figure(figsize=(8.5, 0.62 * len(rows) + 1.8))
         axes = figure.subplots()
-        for i, row in enumerate(rows):
-            size = abs(row.optimum) or 1.0
-            posterior = None if row.verdict == "not converged" else row.posterior_sd
-            kinds = (
-                (row.slice, GREY, "slice (others held)"),
-                (row.quadratic, VERMILLION, "quadratic (Hessian)"),
-                (row.profile, ORANGE, "profile"),
-                (posterior, BLUE, "posterior sd"),
-            )
-            for k, (width, colour, _) in enumerate(kinds):
-                if width is not None and np.isfinite(width) and width > 0:
-                    axes.plot(width / size, i + 0.16 * (k - 1.5), "o", color=colour, ms=7)
+        for k, (name, colour, widths) in enumerate(kinds):
+            places = [
+                (width / (abs(row.optimum) or 1.0), i + 0.16 * (k - 1.5))
+                for i, (row, width) in enumerate(zip(rows, widths, strict=True))
+                if width is not None and np.isfinite(width) and width > 0
+            ]
+            if places:
+                axes.plot(*np.transpose(places), "o", color=colour, ms=7, label=name)
         axes.axvline(1.0, color=BLACK, lw=1, ls=":")
         axes.set_xscale("log")
         labels = [f"{r.name.replace('_', ' ')}\n({r.verdict})" for r in rows]
         axes.set_yticks(range(len(rows)), labels)
         axes.invert_yaxis()
         axes.set_xlabel("width over value; dotted: as wide as the value itself")
-        handles = [
-            Line2D([], [], color=colour, marker="o", ls="", label=name)
-            for colour, name in (
-                (GREY, "slice (others held)"),
-                (VERMILLION, "quadratic (Hessian)"),
-                (ORANGE, "profile"),
-                (BLUE, "posterior sd"),
-            )
-        ]
-        figure.legend(handles=handles, loc="outside upper center", ncols=4)
+        figure.legend(loc="outside upper center", ncols=4)
     return figure
