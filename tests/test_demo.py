@@ -1,0 +1,31 @@
+"""The demo: what it says of the joint it made, and what it leaves."""
+
+import json
+import re
+
+import pytest
+
+from identifiability.cli.main import main
+from identifiability.measurement.example import B_CE, INERTIA, K_CE, K_SE
+
+
+@pytest.fixture(scope="module")
+def out(tmp_path_factory):
+    return tmp_path_factory.mktemp("demo")
+
+
+def test_the_demo_finds_the_joint_that_was_made(out, capfd):
+    assert main(["demo", "--out", str(out)]) == 0
+    said = capfd.readouterr().out
+    assert "The model misses a tendon in series with the muscle" in said
+    found = json.loads((out / "investigation" / "investigation.json").read_text())
+    assert found["verdict"]["kind"] == "explained"
+    assert found["steps"][-1]["error_held_out"] < 0.02 * found["baseline"]["error_held_out"]
+    truth = {"K": K_CE, "B": B_CE, "I": INERTIA, "series_tendon.stiffness": K_SE}
+    for name, true in truth.items():
+        value, shown = re.search(rf"{name} = ([0-9.]+) \(([0-9.]+)\)", said).groups()
+        assert float(shown) == true
+        # The noise leaves each parameter an uncertainty of some tenths of a per cent.
+        assert float(value) == pytest.approx(true, rel=0.01)
+    assert (out / "investigation" / "report.html").stat().st_size > 10_000
+    assert {p.name for p in out.iterdir()} == {"T50", "T100", "T200", "trials", "investigation"}
