@@ -9,12 +9,8 @@ from identifiability.cli.main import main
 from identifiability.measurement.example import B_CE, INERTIA, K_CE, K_SE
 
 
-@pytest.fixture(scope="module")
-def out(tmp_path_factory):
-    return tmp_path_factory.mktemp("demo")
-
-
-def test_the_demo_finds_the_joint_that_was_made(out, capfd):
+def test_the_demo_finds_the_joint_that_was_made(tmp_path, capfd):
+    out = tmp_path / "demo"
     assert main(["demo", "--out", str(out)]) == 0
     said = capfd.readouterr().out
     assert "The model misses a tendon in series with the muscle" in said

@@ -86,11 +86,11 @@ def verdict(
     return judge(evidence, search, rest, SEEN, EFFECTS)
 
 
-def verdict_of(evidence, final, key, *rivals):
+def verdict_of(evidence, final, key, *rivals, exact=True):
     """Verdict on one effect that explains all, and its rivals."""
     base = candidate(BEFORE)
     alone = {key: base}
-    search = Search(base, (), final, ((key, final),), {key: rivals}, alone, (), True, 2, "")
+    search = Search(base, (), final, ((key, final),), {key: rivals}, alone, (), exact, 2, "")
     return judge(evidence, search, left_over("none", 0.0), SEEN, EFFECTS)
 
 
@@ -220,6 +220,21 @@ def test_a_rival_in_doubt_is_no_equal_and_the_doubt_is_said(evidence):
         assert ("stretch_reflex" in found.equivalence_sets[0]) is not bool(doubt)
         said = "With stretch reflex in the place of gravity, it is too quick."
         assert (said in found.because) is bool(doubt)
+
+
+@pytest.mark.parametrize(("refitted", "said"), [(-3.0, True), (-30.0, False)])
+def test_of_a_rival_that_only_comes_near_it_is_not_said_that_it_does_as_well(
+    evidence, refitted, said
+):
+    final = candidate(1e-6, "gravity")
+    rank = Ranked(
+        *("cubic_stiffness", candidate(1e-6, "cubic_stiffness"), -40.0, -1.0, False, ""),
+        refitted=refitted,
+    )
+    # The final model leaves more than noise: what comes as near is in the set either way.
+    found = verdict_of(evidence, final, "gravity", rank, exact=False)
+    assert "cubic_stiffness" in found.equivalence_sets[0]
+    assert any("are predicted worse, but fitted as well" in s for s in found.because) is said
 
 
 @pytest.mark.parametrize(("refitted", "member"), [(None, False), (-3.0, True), (-30.0, False)])

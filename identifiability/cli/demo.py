@@ -1,4 +1,4 @@
-"""``identifiability demo``: a small study, a fit and what it misses, on what comes with us."""
+"""``identifiability demo``: a study, a fit and what it misses, on shipped trials."""
 
 from __future__ import annotations
 

@@ -80,6 +80,11 @@ class Ranked:
         """The effect that it adds, or puts in another's place."""
         return self.candidate.model.effect(self.key)
 
+    @property
+    def caveat(self) -> str:
+        """What its values say against it, whatever the evidence: an objection or a doubt."""
+        return self.objection or self.doubt
+
 
 @dataclass(eq=False)
 class Gate:
@@ -233,13 +238,22 @@ def unpenalised(rival: Candidate, final: Candidate) -> float:
 
 def only_held_out_objects(rival: Ranked, final: Candidate) -> bool:
     """Whether a possible rival fits as well as the final model, but does not predict as well."""
-    if rival.candidate.failure or rival.objection or rival.doubt or not final.held_out.by_trial:
+    if rival.candidate.failure or rival.caveat or not final.held_out.by_trial:
         return False
-    free = unpenalised(rival.candidate, final)
     fitted = evidence_for(rival.candidate, final, least([rival.candidate, final]))
-    if fitted + free <= -DECISIVE:
+    fits = fitted + unpenalised(rival.candidate, final) > -DECISIVE
+    return fits and not does_as_well(rival, final)
+
+
+def does_as_well(rival: Ranked, final: Candidate) -> bool:
+    """Whether nothing speaks decisively against a rival, parsimony not counted.
+
+    Where it was fitted to the held-out trials too, that fit counts in the place of its prediction.
+    """
+    evidence = rival.evidence if rival.refitted is None else rival.refitted
+    if evidence + unpenalised(rival.candidate, final) <= -DECISIVE:
         return False
-    return rival.evidence + free <= -DECISIVE or predicts_worse(rival, final)
+    return rival.refitted is not None or not predicts_worse(rival, final)
 
 
 def predicts_worse(rival: Ranked, final: Candidate) -> bool:

@@ -22,6 +22,7 @@ from identifiability.investigation.imposed import Imposed, imposed, starts
 from identifiability.investigation.refits import (
     NAMES,
     UNITS,
+    UNKNOWN_LEVEL,
     Refit,
     Refits,
     Take,
@@ -35,7 +36,6 @@ WINDOWS = (0.05, 0.1, 0.2)
 LEVEL = 0.05
 _FEWEST, _MANY = 5, 8  # samples of a window; perturbations of a record that is split into them
 _LOOKED_AT = 0.2  # seconds after a perturbation in which its size and direction are read
-_UNKNOWN = 1e3  # size of an offset that is unknown altogether, in units of the noise
 _NOTABLE = 3.0  # standard errors from which a change is named
 
 Aspect = Literal["window", "amplitude", "direction", "condition", "trial"]
@@ -260,7 +260,9 @@ class _Fitter:
 
         def rows(trial: int, columns: np.ndarray) -> np.ndarray:
             offset = (
-                _UNKNOWN * noise.sds[trial] if parts[trial].has_offset else noise.offsets[trial]
+                UNKNOWN_LEVEL * noise.sds[trial]
+                if parts[trial].has_offset
+                else noise.offsets[trial]
             )
             level = np.full((len(columns), 1), offset)
             white = noise.white(trial, np.column_stack([columns, level]))

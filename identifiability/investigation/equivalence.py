@@ -6,14 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from identifiability.investigation.admission import (
-    DECISIVE,
-    FORM,
-    Ranked,
-    pooled_error,
-    predicts_worse,
-    unpenalised,
-)
+from identifiability.investigation.admission import FORM, Ranked, does_as_well, pooled_error
 from identifiability.investigation.search import Search
 from identifiability.joint.effects.base import Effect
 
@@ -41,19 +34,12 @@ def equivalence_set(key: str, search: Search, library: Mapping[str, type[Effect]
     list of str
         Best first.
     """
-    members, final = [], search.final
+    members = []
     for r in search.alternatives[key]:
-        if r.candidate.failure or r.objection or r.doubt or key in library[r.key].refines:
+        if r.candidate.failure or r.caveat or key in library[r.key].refines:
             continue
-        if comes_near(key, r, search):
+        if comes_near(key, r, search) or does_as_well(r, search.final):
             members.append(r.key)
-            continue
-        evidence = r.evidence if r.refitted is None else r.refitted
-        if evidence + unpenalised(r.candidate, final) <= -DECISIVE:
-            continue
-        if r.refitted is None and predicts_worse(r, final):
-            continue
-        members.append(r.key)
     alike = [k for k in library[key].equivalent if k in library and k not in members]
     found = list(dict.fromkeys([key, *alike, *members]))
     # A muscle has a tendon: of effects of one form the anatomical name comes first.

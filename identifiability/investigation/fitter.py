@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -101,12 +102,17 @@ class Fitter:
         """Fit a candidate's model, from its values, to the held-out trials too."""
         key = candidate.model.effect_keys, candidate.refined
         if key not in self._to_all:
-            evidence = self.bench.evidence
-            both = replace(evidence, fitted=(*evidence.fitted, *evidence.held_out), held_out=())
-            self._to_all[key] = replace(self.bench, evidence=both).fit(
+            self._to_all[key] = self._none_held_out.fit(
                 candidate.model, [candidate.values], refined=candidate.refined
             )
         return self._to_all[key]
+
+    @cached_property
+    def _none_held_out(self) -> Workbench:
+        """The bench with the held-out trials among those to be fitted."""
+        evidence = self.bench.evidence
+        everything = (*evidence.fitted, *evidence.held_out)
+        return replace(self.bench, evidence=replace(evidence, fitted=everything, held_out=()))
 
 
 def baseline(

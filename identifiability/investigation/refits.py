@@ -20,6 +20,8 @@ from identifiability.investigation.candidates import Candidate, Workbench, owner
 NAMES = ("K", "B", "I")
 UNITS = ("Nm/rad", "Nms/rad", "kg m²")
 _EVALUATIONS = 40
+UNKNOWN_LEVEL = 1e3
+"""Size of an offset that is unknown altogether, in units of the noise."""
 
 Take = Callable[[int, np.ndarray], np.ndarray]
 """Takes a trial's number and columns over its compared samples, shape (n, k), and gives the rows

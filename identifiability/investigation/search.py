@@ -358,9 +358,7 @@ class Searcher:
             else (other, plain)
             for other, plain in fitted
         ]
-        best = least([current, *(c for _, c in fitted)])
-        out = [self.gate.judge(other, c, current, best) for other, c in fitted]
-        return sorted(out, key=lambda r: -r.evidence)
+        return self._ranked(fitted, current)
 
     def _likely(self, key: str, current: Candidate, baseline: Candidate) -> list[str]:
         """Effects that may stand in the place of another: alike by nature, or alike alone."""

@@ -7,7 +7,13 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from identifiability.investigation.admission import DECISIVE, FORM, ONLY_MENDS, Ranked
+from identifiability.investigation.admission import (
+    DECISIVE,
+    FORM,
+    ONLY_MENDS,
+    Ranked,
+    does_as_well,
+)
 from identifiability.investigation.candidates import Candidate, effective_samples
 from identifiability.investigation.equivalence import comes_near, equivalence_set, same_form
 from identifiability.investigation.evidence import Evidence
@@ -285,7 +291,7 @@ def _reasons(
         rivals = [
             r
             for r in search.alternatives[chosen]
-            if r.key not in members and np.isfinite(r.evidence) and not (r.objection or r.doubt)
+            if r.key not in members and np.isfinite(r.evidence) and not r.caveat
         ]
         rivals.sort(key=lambda r: -r.evidence)
         if (
@@ -304,9 +310,9 @@ def _reasons(
                 f"worse by {-rivals[0].evidence:.0f} (more than {DECISIVE:.0f} is decisive)."
             )
         out += [
-            f"With {_plain(r.key)} in the place of {_plain(members[0])}, {r.objection or r.doubt}."
+            f"With {_plain(r.key)} in the place of {_plain(members[0])}, {r.caveat}."
             for r in search.alternatives[chosen]
-            if (r.objection or r.doubt) and r.evidence > -DECISIVE
+            if r.caveat and r.evidence > -DECISIVE
         ]
         own = search.final.model.effect(chosen)
         if evidence.driven == "torque" and (doubt := own.doubt(search.final.values)):
@@ -324,7 +330,9 @@ def _reasons(
                 f"{_plain(members[0]).capitalize()} and {_plain(same[0])} are of one form: torque "
                 "and angle can never tell them apart."
             )
-        later = [_plain(r.key) for r in alike if r.refitted is not None]
+        later = [
+            _plain(r.key) for r in alike if r.refitted is not None and does_as_well(r, search.final)
+        ]
         if later:
             out.append(
                 f"With {' or '.join(later)} in the place of {_plain(members[0])} the held-out "

@@ -7,12 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from identifiability.investigation.compare import plain, probability
-from identifiability.investigation.refits import without_levels
+from identifiability.investigation.refits import UNKNOWN_LEVEL, without_levels
 from identifiability.investigation.where.scene import Scene, View, bin_of, share, time_edges
 from identifiability.investigation.whitening import excess
 
 _LATENCY_BIN, _LONGEST_LATENCY = 0.01, 0.4  # seconds in which an onset of the misfit is looked for
-_UNKNOWN = 1e3  # size of an offset that is unknown altogether, in units of the noise
 
 
 @dataclass(frozen=True, eq=False)
@@ -93,7 +92,7 @@ def _latency(scene: Scene) -> float | None:
             rows = scene.noise.averaged(trial, columns, blocks.index[chosen])
             if not scene.parts[trial].has_offset:
                 return rows
-            level = np.full((len(columns), 1), _UNKNOWN * scene.noise.sds[trial])
+            level = np.full((len(columns), 1), UNKNOWN_LEVEL * scene.noise.sds[trial])
             ones = scene.noise.averaged(trial, level, blocks.index[chosen])
             return without_levels(rows, ones[:, 0], blocks.event[chosen])
 
