@@ -203,6 +203,21 @@ def test_walkers_that_begin_far_away_do_not_pass_for_convergence(monkeypatch):
     assert posterior.ess_bulk.min() < sampling.ESS_LIMIT
 
 
+def test_walkers_that_stay_where_they_begin_do_not_pass_for_convergence(monkeypatch):
+    # A proposal far from the posterior and narrow: one of its draws outweighs all others, every
+    # walker begins there, and none is ever moved. Chains that are all the same agree.
+    problem, best = problem_of(GAUSSIAN), fit_of(GAUSSIAN).values
+    off = laplace_t(
+        best * 1.2, 1e6 * curvature(problem, best).hessian, problem.lower, problem.upper
+    )
+    monkeypatch.setattr(sampling, "_laplace", lambda *_: off)
+    posterior = drawn(GAUSSIAN, evolve=False)
+    assert len(np.unique(posterior.flat[:, 0])) < sampling.ESS_LIMIT
+    assert posterior.rhat.max() < sampling.RHAT_LIMIT  # which is why it cannot be relied on
+    assert posterior.ess_bulk.min() > sampling.ESS_LIMIT
+    assert not posterior.converged
+
+
 def test_the_smallest_effort_still_takes_a_step():
     assert drawn(REFERENCE, effort=1e-3).draws.shape[1] > 0
 

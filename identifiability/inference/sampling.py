@@ -368,8 +368,12 @@ def _judge(
         bulk, tail, mcse = _of_dependent_walkers(draws, dependent_walkers, bulk, tail)
         # In a few steps walkers cannot show how slowly they forget where they began.
         long_enough = draws.shape[1] >= _FEWEST_STEPS * dependent_walkers
+    # Walkers that start from one point and stay there agree with each other perfectly: as many
+    # independent draws as are claimed must at least differ.
+    different = len(np.unique(draws.reshape(-1, draws.shape[-1]), axis=0))
     converged = bool(
         long_enough
+        and different >= ESS_LIMIT
         and np.all(rhat < RHAT_LIMIT)
         and np.all(bulk >= ESS_LIMIT)
         and np.all(tail >= ESS_LIMIT)
