@@ -117,6 +117,19 @@ def test_one_record_is_split_in_halves():
     assert evidence.fitted[0].last == evidence.held_out[0].first == 500
 
 
+@pytest.mark.parametrize(("share", "fitted"), [(0.4, "first"), (0.6, "second")])
+def test_the_half_is_fitted_that_reaches_most_of_the_other(share, fitted):
+    # So much of the second half swings beyond what the first reaches.
+    t = np.arange(2000) / 1000
+    angle = 0.1 * np.sin(2 * np.pi * 2 * t)
+    angle[1000 : 1000 + round(1000 * share)] += 1.0
+    record = Trial(t, np.cos(2 * np.pi * 2 * t), angle, name="long")
+    evidence = gather([record])
+    assert (evidence.fitted[0].first == 0) == (fitted == "first")
+    assert (evidence.held_out[0].last == 1000) == (fitted == "second")
+    assert ("beyond its angles" in evidence.how_held_out) == (fitted == "second")
+
+
 def test_a_trial_that_moves_in_one_half_only_is_refused():
     one = trials(KBI(), JOINT, conditions=[("pulse", 8)])[0]
     still = replace(one, angle=np.where(TIME < 0.25, one.angle, 0.0))

@@ -11,6 +11,7 @@ from identifiability.errors import InputError
 
 if TYPE_CHECKING:
     from identifiability.inference.recordings import Goodness, RecordingFit
+    from identifiability.measurement.filtering import Lowpass
     from identifiability.measurement.trials import Trial
 
 
@@ -77,9 +78,10 @@ def add_parser(commands: Any) -> None:
     )
     parser.add_argument(
         "--lowpass",
-        default=None,
+        default="auto",
         metavar="HZ",
-        help="zero-phase low-pass of both channels where the angle is imposed (50), or 'none'",
+        help="zero-phase low-pass of both channels where the angle is imposed (50 Hz, or lower "
+        "where the angle above is but noise), or 'none'",
     )
     parser.add_argument(
         "--bounds",
@@ -97,12 +99,12 @@ def run(options: argparse.Namespace) -> int:
     """Run the subcommand."""
     from identifiability.files import output_folder
     from identifiability.inference.problem import Prior
-    from identifiability.inference.recordings import LOWPASS_HZ, fit_recordings
+    from identifiability.inference.recordings import fit_recordings
     from identifiability.joint.model import KBI
 
     if options.seed < 0:
         raise InputError(f"found the seed {options.seed}, expected 0 or more")
-    lowpass = parse_lowpass(options.lowpass, LOWPASS_HZ)
+    lowpass = parse_lowpass(options.lowpass)
     prior = Prior.physical(KBI(), **parse_bounds(options.bounds))
     trials = read_trials(options)
     lengths = options.window or _usual_windows(trials)
@@ -239,10 +241,10 @@ def _announce(what: str, done: int, total: int) -> None:
     print(f"[{done}/{total}] {what}", file=sys.stderr, flush=True)
 
 
-def parse_lowpass(text: str | None, default: float) -> float | None:
-    """Cut-off frequency [Hz] of an option, ``None`` for no filter."""
-    if text is None:
-        return default
+def parse_lowpass(text: str) -> Lowpass:
+    """Cut-off frequency [Hz] of an option, "auto", or ``None`` for no filter."""
+    if text == "auto":
+        return "auto"
     if text == "none":
         return None
     try:
@@ -250,7 +252,7 @@ def parse_lowpass(text: str | None, default: float) -> float | None:
     except ValueError:
         value = float("nan")
     if not value > 0:
-        raise InputError(f"found --lowpass {text}, expected a frequency in Hz or 'none'")
+        raise InputError(f"found --lowpass {text}, expected a frequency in Hz, 'auto' or 'none'")
     return value
 
 

@@ -39,9 +39,10 @@ def add_parser(commands: Any) -> None:
     )
     parser.add_argument(
         "--lowpass",
-        default=None,
+        default="auto",
         metavar="HZ",
-        help="zero-phase low-pass of both channels where the angle is imposed (50), or 'none'",
+        help="zero-phase low-pass of both channels where the angle is imposed (50 Hz, or lower "
+        "where the angle above is but noise), or 'none'",
     )
     parser.add_argument(
         "--bounds",
@@ -67,14 +68,13 @@ def add_parser(commands: Any) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the subcommand."""
     from identifiability.files import output_folder
-    from identifiability.inference.recordings import LOWPASS_HZ
     from identifiability.investigation.investigate import investigate
 
     if options.seed < 0:
         raise InputError(f"found the seed {options.seed}, expected 0 or more")
     if not 0 <= options.most <= 3:
         raise InputError(f"found --most {options.most}, expected 0 to 3 effects")
-    lowpass = parse_lowpass(options.lowpass, LOWPASS_HZ)
+    lowpass = parse_lowpass(options.lowpass)
     bounds = parse_bounds(options.bounds)
     files = _files(options.files)
     held_files = _files(options.hold_out)

@@ -13,12 +13,11 @@ from identifiability.inference.fitting import Fit, fit, starting_points
 from identifiability.inference.problem import Observation, Prior, Problem, observe
 from identifiability.inference.widths import Widths, widths
 from identifiability.joint.model import KBI, Model
+from identifiability.measurement.filtering import Lowpass, cutoff, stride
 from identifiability.measurement.noise import Noise
 from identifiability.measurement.perturbations import Drive, SampledTorque, imposed_motion
 from identifiability.measurement.trials import Trial, onsets, quiet_lead
 
-LOWPASS_HZ = 50.0
-_SAMPLES_PER_CYCLE = 5.0
 _QUIET_SAMPLES = 10
 
 
@@ -60,7 +59,7 @@ class Prepared:
         return self.drive.interval
 
 
-def prepare(trial: Trial, model: Model, *, lowpass_hz: float | None = LOWPASS_HZ) -> Prepared:
+def prepare(trial: Trial, model: Model, *, lowpass_hz: Lowpass = "auto") -> Prepared:
     """Filter a trial and take off its operating point.
 
     With an imposed angle the model predicts torque from the angle's second derivative, which
@@ -73,8 +72,9 @@ def prepare(trial: Trial, model: Model, *, lowpass_hz: float | None = LOWPASS_HZ
     trial : Trial
     model : Model
         One without internal states needs no samples between those that are compared.
-    lowpass_hz : float or None
-        Cut-off frequency [Hz] for an imposed angle; ``None`` for no filter.
+    lowpass_hz : float, "auto" or None
+        Cut-off frequency [Hz] for an imposed angle; "auto" is the usual one, or that above which
+        the angle is but noise (`noise_cutoff`); ``None`` for no filter.
 
     Returns
     -------
@@ -87,26 +87,21 @@ def prepare(trial: Trial, model: Model, *, lowpass_hz: float | None = LOWPASS_HZ
         ready = trial.centred("baseline" if quiet else "none")
         drive = SampledTorque(ready.torque).drive(ready.time)
         return Prepared(ready, ready.time, drive, ready.angle, 1, moves, not quiet)
-    ready, stride = trial.centred("mean"), 1
-    if lowpass_hz is not None:
-        if lowpass_hz >= 0.5 * trial.sampling_rate:
-            raise InputError(
-                f"found a low-pass of {lowpass_hz:g} Hz, expected less than half the sampling rate "
-                f"of {trial.sampling_rate:g} Hz; choose a lower --lowpass or 'none'"
-            )
-        ready = ready.lowpass(lowpass_hz)
-        stride = max(1, int(ready.sampling_rate / (_SAMPLES_PER_CYCLE * lowpass_hz)))
+    ready, every = trial.centred("mean"), 1
+    cutoff_hz = cutoff([trial], lowpass_hz)
+    if cutoff_hz is not None:
+        ready, every = ready.lowpass(cutoff_hz), stride(trial, cutoff_hz)
     drive = imposed_motion(ready.time, ready.angle)
     if model.n_internal or not model.linear:
-        return Prepared(ready, ready.time, drive, ready.torque, stride, moves, True)
+        return Prepared(ready, ready.time, drive, ready.torque, every, moves, True)
     thinned = replace(
         drive,
-        interval=drive.interval * stride,
-        states=drive.states[::stride],
-        impulses=drive.impulses[::stride],
+        interval=drive.interval * every,
+        states=drive.states[::every],
+        impulses=drive.impulses[::every],
     )
-    kept = slice(None, None, stride)
-    return Prepared(ready, ready.time[kept], thinned, ready.torque[kept], 1, moves // stride, True)
+    kept = slice(None, None, every)
+    return Prepared(ready, ready.time[kept], thinned, ready.torque[kept], 1, moves // every, True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -333,7 +328,7 @@ def fit_recordings(
     model: Model | None = None,
     window_lengths: Sequence[float] = (),
     prior: Prior | None = None,
-    lowpass_hz: float | None = LOWPASS_HZ,
+    lowpass_hz: Lowpass = "auto",
     seed: int = 1,
     progress: Callable[[str, int, int], None] = lambda what, done, total: None,
 ) -> RecordingFit:
@@ -354,8 +349,8 @@ def fit_recordings(
         Windows T [s] after each perturbation, to be fitted one by one.
     prior : Prior, optional
         Uniform within the physical bounds by default.
-    lowpass_hz : float or None
-        See `prepare`.
+    lowpass_hz : float, "auto" or None
+        See `prepare`; one for all trials.
     seed : int
     progress : callable
         Told ``(what, done, total)`` before each part of the work.
@@ -375,7 +370,8 @@ def fit_recordings(
         raise InputError("found torque- and angle-driven trials together; fit them one by one")
     model = KBI() if model is None else model
     prior = Prior.physical(model) if prior is None else prior
-    prepared = tuple(prepare(trial, model, lowpass_hz=lowpass_hz) for trial in trials)
+    cutoff_hz = cutoff(trials, lowpass_hz) if trials[0].driven == "angle" else None
+    prepared = tuple(prepare(trial, model, lowpass_hz=cutoff_hz) for trial in trials)
     selections_by_window = [[windows(p, length) for p in prepared] for length in window_lengths]
     selections = [whole(p) for p in prepared]
     start = first_guess([p.trial for p in prepared], prior)

@@ -14,12 +14,12 @@ import numpy as np
 
 from identifiability.errors import InputError
 from identifiability.inference.problem import Observation, observe
-from identifiability.inference.recordings import LOWPASS_HZ, integrated_autocorrelation
+from identifiability.inference.recordings import integrated_autocorrelation
+from identifiability.measurement.filtering import Lowpass, cutoff, stride
 from identifiability.measurement.noise import Noise
 from identifiability.measurement.perturbations import Drive, SampledTorque, imposed_motion
 from identifiability.measurement.trials import Trial, onsets, quiet_lead
 
-_SAMPLES_PER_CYCLE = 5.0
 _LEAD_SAMPLES = 20  # a shorter lead says too little about the noise
 _LONGEST, _WARM_UP = 4096, 1.0  # samples of a piece; seconds in which a piece forgets its start
 _ROUND = 64  # lengths are padded to a multiple, so that compiled programs serve many data sets
@@ -182,12 +182,14 @@ def gather(
     trials: Sequence[Trial],
     held_out: Sequence[Trial] = (),
     *,
-    lowpass_hz: float | None = LOWPASS_HZ,
+    lowpass_hz: Lowpass = "auto",
 ) -> Evidence:
     """Make trials ready, and choose what to hold out where nothing is named.
 
     Held out are whole conditions: of several trials about every third, such that each kind of
-    perturbation stays in both parts where it can; of one long record the second half.
+    perturbation stays in both parts where it can; of one long record the second half, or the
+    first where most of the second lies beyond the angles that the first reaches: what no fitted
+    sample came near would judge how well parameters are known, not whether the model is right.
 
     Parameters
     ----------
@@ -195,8 +197,8 @@ def gather(
         All driven alike.
     held_out : sequence of Trial
         Trials that no model is fitted to.
-    lowpass_hz : float or None
-        Zero-phase low-pass where the angle is imposed.
+    lowpass_hz : float, "auto" or None
+        Zero-phase low-pass where the angle is imposed: see `cutoff`.
 
     Returns
     -------
@@ -224,6 +226,12 @@ def gather(
                 f"found one trial, '{fit[0].name}', whose response moves in one half only; give "
                 "several trials, or name some with --hold-out"
             )
+        if _beyond(*parts) > 0.5:
+            return Evidence(
+                parts[1:],
+                parts[:1],
+                "the first half of the record: most of the second lies beyond its angles",
+            )
         return Evidence(parts[:1], parts[1:], "the second half of the record")
     held = _choose_held_out([r.trial for r in fit])
     return Evidence(
@@ -231,6 +239,12 @@ def gather(
         tuple(r for i, r in enumerate(fit) if i in held),
         f"{len(held)} of {len(fit)} trials, chosen by amplitude",
     )
+
+
+def _beyond(one: Ready, other: Ready) -> float:
+    """Share of another part whose angle lies beyond those that one reaches."""
+    reached, asked = (r.trial.angle[r.first : r.last] for r in (one, other))
+    return float(np.mean((asked < reached.min()) | (asked > reached.max())))
 
 
 def _choose_held_out(trials: Sequence[Trial]) -> set[int]:
@@ -246,9 +260,10 @@ def _choose_held_out(trials: Sequence[Trial]) -> set[int]:
     return {int(i) for i in order[:: 3 if len(trials) > 3 else 2][: len(trials) // 2]}
 
 
-def _ready(trials: Sequence[Trial], lowpass_hz: float | None) -> list[Ready]:
+def _ready(trials: Sequence[Trial], lowpass_hz: Lowpass) -> list[Ready]:
     if trials[0].driven == "angle":
-        return [_angle_driven(trial, lowpass_hz) for trial in trials]
+        cutoff_hz = cutoff(trials, lowpass_hz)
+        return [_angle_driven(trial, cutoff_hz) for trial in trials]
     leads = [quiet_lead(trial) for trial in trials]
     usable = [n if n >= _LEAD_SAMPLES else 0 for n in leads]
     quiet = [t.angle[:n] for t, n in zip(trials, usable, strict=True) if n]
@@ -282,18 +297,12 @@ def _ready(trials: Sequence[Trial], lowpass_hz: float | None) -> list[Ready]:
     return out
 
 
-def _angle_driven(trial: Trial, lowpass_hz: float | None) -> Ready:
+def _angle_driven(trial: Trial, cutoff_hz: float | None) -> Ready:
     ready = trial.centred("mean")
-    if lowpass_hz is not None:
-        if lowpass_hz >= 0.5 * trial.sampling_rate:
-            raise InputError(
-                f"found a low-pass of {lowpass_hz:g} Hz, expected less than half the sampling rate "
-                f"of {trial.sampling_rate:g} Hz; choose a lower --lowpass or 'none'"
-            )
-        ready = ready.lowpass(lowpass_hz)
-        stride = int(ready.sampling_rate / (_SAMPLES_PER_CYCLE * lowpass_hz))
-        if stride > 1:
-            ready = ready.decimate(stride)
+    if cutoff_hz is not None:
+        ready = ready.lowpass(cutoff_hz)
+        if (every := stride(trial, cutoff_hz)) > 1:
+            ready = ready.decimate(every)
     drive = imposed_motion(ready.time, ready.angle)
     return Ready(ready, 0, ready.n_samples, drive, ready.torque, NO_LEAD, True)
 

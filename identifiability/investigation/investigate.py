@@ -13,11 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from identifiability.errors import InputError
 from identifiability.inference.problem import Prior
-from identifiability.inference.recordings import (
-    LOWPASS_HZ,
-    first_guess,
-    integrated_autocorrelation,
-)
+from identifiability.inference.recordings import first_guess, integrated_autocorrelation
 from identifiability.inference.widths import Widths, widths
 from identifiability.investigation.candidates import Candidate, Workbench, owners
 from identifiability.investigation.compare import Comparison, compare
@@ -27,16 +23,12 @@ from identifiability.investigation.kept import KeepingWorkbench
 from identifiability.investigation.locate import Location, locate
 from identifiability.investigation.next_experiment import Limits, NextExperiment, next_experiment
 from identifiability.investigation.power import Detectable, detectable
-from identifiability.investigation.search import (
-    MOST_EFFECTS,
-    Search,
-    Searcher,
-    Step,
-)
+from identifiability.investigation.search import MOST_EFFECTS, Search, Searcher, Step
 from identifiability.investigation.unexplained import Unexplained, unexplained
 from identifiability.investigation.verdict import Verdict, judge
 from identifiability.joint.effects import EFFECTS, Effect
 from identifiability.joint.model import KBI, Model
+from identifiability.measurement.filtering import Lowpass
 from identifiability.measurement.trials import Trial
 
 _MOVING = (
@@ -100,8 +92,9 @@ class Investigation:
         ``EFFECTS | {MyEffect.key: MyEffect}``.
     bounds : mapping of str to (float, float)
         Other bounds than the physical ones, by parameter name.
-    lowpass_hz : float or None
-        Zero-phase low-pass [Hz] of both channels where the angle is imposed.
+    lowpass_hz : float, "auto" or None
+        Zero-phase low-pass [Hz] of both channels where the angle is imposed; "auto" is the usual
+        one, or that above which the angle is but noise (`noise_cutoff`).
     kept : Path, optional
         Folder in which every fit is kept as soon as it is done; the same investigation, run again,
         reads them (see `KeepingWorkbench`).
@@ -131,7 +124,7 @@ class Investigation:
         *,
         library: Mapping[str, type[Effect]] | None = None,
         bounds: Mapping[str, tuple[float, float]] | None = None,
-        lowpass_hz: float | None = LOWPASS_HZ,
+        lowpass_hz: Lowpass = "auto",
         kept: Path | None = None,
         progress: Progress = _silent,
     ) -> None:
@@ -257,7 +250,7 @@ def investigate(
     model: Model | None = None,
     library: Mapping[str, type[Effect]] | None = None,
     bounds: Mapping[str, tuple[float, float]] | None = None,
-    lowpass_hz: float | None = LOWPASS_HZ,
+    lowpass_hz: Lowpass = "auto",
     limits: Limits | None = None,
     most: int = MOST_EFFECTS,
     with_widths: bool = True,

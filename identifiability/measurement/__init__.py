@@ -1,8 +1,17 @@
 """What was done to a joint, and what was seen: trials, and the files they come from."""
 
 from identifiability.measurement.columns import parse_columns
+from identifiability.measurement.filtering import noise_cutoff
 from identifiability.measurement.readers import read_trial
 from identifiability.measurement.trials import Trial, onsets, quiet_lead
 from identifiability.measurement.units import parse_unit
 
-__all__ = ["Trial", "onsets", "parse_columns", "parse_unit", "quiet_lead", "read_trial"]
+__all__ = [
+    "Trial",
+    "noise_cutoff",
+    "onsets",
+    "parse_columns",
+    "parse_unit",
+    "quiet_lead",
+    "read_trial",
+]

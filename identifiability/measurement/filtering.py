@@ -1,0 +1,101 @@
+"""The low-pass filter of recordings whose angle was imposed.
+
+The torque is predicted from the imposed angle's second derivative, which multiplies noise by the
+square of its frequency. Noise in what is taken for known makes the inertia too small, however long
+the record (attenuation: Fuller 1987, Measurement Error Models, section 1.1), and bends whatever
+trades with it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal
+
+import numpy as np
+from scipy import signal
+
+from identifiability.errors import InputError
+from identifiability.measurement.trials import Trial
+
+Lowpass = float | Literal["auto"] | None
+"""Cut-off frequency [Hz]; "auto" as `noise_cutoff` finds it; ``None`` for no filter."""
+HIGHEST_HZ = 50.0
+"""Cut-off where the angle shows no noise: perturbations of joints hardly move them faster."""
+_OF_NYQUIST = 0.8  # a filter needs room below half the sampling rate
+_BAND = 2 ** (1 / 3)  # a third of an octave
+_SEGMENT_S = 1.0  # of the averaged spectra, which then reach down to a few Hz
+# White noise is flat from the lower to the upper part of the highest octave; an angle that
+# inertia moves falls with the square of the frequency at least. Half way, in logarithms.
+_LOW, _MIDDLE, _HIGH = 0.5, 0.75, 0.95
+_FLAT = (_MIDDLE + _HIGH) / (_LOW + _MIDDLE)
+_SAMPLES_PER_CYCLE = 5.0
+
+
+def cutoff(trials: Sequence[Trial], lowpass_hz: Lowpass) -> float | None:
+    """Return the cut-off frequency [Hz] that a setting stands for, one for all trials.
+
+    Parameters
+    ----------
+    trials : sequence of Trial
+    lowpass_hz : float, "auto" or None
+
+    Raises
+    ------
+    InputError
+        If the frequency is not below half the sampling rate.
+    """
+    if lowpass_hz is None:
+        return None
+    if lowpass_hz == "auto":
+        return noise_cutoff(trials)
+    rate = min(trial.sampling_rate for trial in trials)
+    if lowpass_hz >= 0.5 * rate:
+        raise InputError(
+            f"found a low-pass of {lowpass_hz:g} Hz, expected less than half the sampling rate "
+            f"of {rate:g} Hz; choose a lower --lowpass or 'none'"
+        )
+    return float(lowpass_hz)
+
+
+def noise_cutoff(trials: Sequence[Trial]) -> float:
+    """Return the frequency [Hz] above which the imposed angle is noise more than motion.
+
+    The noise is what the angle's spectrum levels off to below half the sampling rate, be it the
+    sensor's or the rounding of a coarse recorder; the motion ends where the spectrum, in bands of a
+    third of an octave, comes down to twice that level. Where the spectrum still falls there, or
+    the motion goes on, the cut-off is the usual one (`HIGHEST_HZ`).
+
+    Parameters
+    ----------
+    trials : sequence of Trial
+        Their spectra are added up.
+    """
+    rate = min(trial.sampling_rate for trial in trials)
+    nyquist = 0.5 * rate
+    highest = min(HIGHEST_HZ, _OF_NYQUIST * nyquist)
+    spectra = [_spectrum(trial) for trial in trials]
+
+    def power(low: float, high: float) -> float:
+        """Mean density of the angle between two frequencies, summed over the trials."""
+        found = [p[(f >= low) & (f < high)] for f, p in spectra]
+        return float(sum(p.mean() if p.size else np.nan for p in found))
+
+    lower = power(_LOW * nyquist, _MIDDLE * nyquist)
+    upper = power(_MIDDLE * nyquist, _HIGH * nyquist)
+    if not 1 / _FLAT < lower / upper < _FLAT:
+        return highest
+    noise, edge = 0.5 * (lower + upper), highest
+    while (found := power(edge / _BAND, edge)) < 2 * noise:
+        edge /= _BAND
+    # A band without a line of the spectrum: none held motion, so there is nothing to go by.
+    return edge if np.isfinite(found) else highest
+
+
+def _spectrum(trial: Trial) -> tuple[np.ndarray, np.ndarray]:
+    length = min(trial.n_samples, round(_SEGMENT_S * trial.sampling_rate))
+    return signal.welch(trial.angle, trial.sampling_rate, nperseg=length, detrend="linear")
+
+
+def stride(trial: Trial, cutoff_hz: float) -> int:
+    """Return how many samples to go on: those between tell nothing new below a cut-off [Hz]."""
+    return max(1, int(trial.sampling_rate / (_SAMPLES_PER_CYCLE * cutoff_hz)))
