@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from test_investigation import HELD, JOINT, trials
 
-from identifiability.investigation.admission import ONLY_MENDS, Ranked
+from identifiability.investigation.admission import ONLY_MENDS, TOO_LITTLE, Ranked
 from identifiability.investigation.candidates import Candidate, Residual
 from identifiability.investigation.evidence import gather
 from identifiability.investigation.library_free.explanation import Family
@@ -169,6 +169,7 @@ def test_joint_and_instruments_that_do_as_well_are_said_to_be_one_of_both(eviden
     [
         ("a delay of 15 ms would be short", "a delay of 15 ms would be short", "a delay of 15 ms"),
         (ONLY_MENDS, "", "at most a clue"),
+        (TOO_LITTLE, "", "too little of what is left to be more than a clue"),
         # What the data do not ask for is not worth a word, possible or not.
         ("no decisive evidence", "a delay of 15 ms would be short", ""),
         ("no decisive evidence", "", ""),

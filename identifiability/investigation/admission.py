@@ -36,6 +36,7 @@ FORM = 0.01
 A further effect that removes less than this share of what those before it removed may only mend
 their equations, and a rival that removes all but this share is not excluded by it."""
 ONLY_MENDS = "may only mend the equations of the effects before it"
+TOO_LITTLE = "removes too little of what is left"
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,6 +80,16 @@ class Ranked:
     def effect(self) -> Effect:
         """The effect that it adds, or puts in another's place."""
         return self.candidate.model.effect(self.key)
+
+    def values_in_words(self) -> list[str]:
+        """Fitted values of the effect's own parameters, with units."""
+        parameters = self.candidate.model.parameters
+        return [
+            f"{name.split('.')[1].replace('_', ' ')} {value:.3g}"
+            + (f" {parameters[name].unit}" if parameters[name].unit != "1" else "")
+            for name, value in self.candidate.values.items()
+            if name.startswith(f"{self.key}.") and name in self.candidate.free
+        ]
 
     @property
     def caveat(self) -> str:
@@ -124,7 +135,7 @@ class Gate:
         elif not self._held_out_agrees(candidate, current, held):
             reason = "the held-out trials do not agree"
         elif not self._matters(candidate, current):
-            reason = "removes too little of what is left"
+            reason = TOO_LITTLE
         elif self.only_mends(candidate, current):
             reason = ONLY_MENDS
         doubt = self.bench.doubt(candidate, key)

@@ -191,14 +191,17 @@ def _waveforms(time: np.ndarray, seed: int) -> list[tuple[str, np.ndarray]]:
     def pulse(width: float) -> np.ndarray:
         return placed(((moved > 0) & (moved <= width)).astype(float))
 
-    out = [(f"a pulse of {1000 * w:g} ms", pulse(w)) for w in (0.005, 0.02, 0.05, 0.15)]
+    # What is shorter than the sampling interval would not be there.
+    interval = float(time[1] - time[0])
+    widths = [w for w in (0.005, 0.02, 0.05, 0.15) if w >= interval]
+    out = [(f"a pulse of {1000 * w:g} ms", pulse(w)) for w in widths]
     out.append(("a step", placed((moved > 0).astype(float))))
-    double = pulse(0.02) - np.roll(pulse(0.02), round(0.06 / (time[1] - time[0])))
-    out.append(("two opposite pulses of 20 ms, 60 ms apart", double))
+    if 0.02 in widths:
+        double = pulse(0.02) - np.roll(pulse(0.02), round(0.06 / interval))
+        out.append(("two opposite pulses of 20 ms, 60 ms apart", double))
     for f in (2.0, 6.0, 15.0):
         out.append((f"a sinusoid of {f:g} Hz", placed(np.sin(2 * np.pi * f * moved))))
     if moved[-1] > 0.4:
-        interval = time[1] - time[0]
         tones = np.arange(1.0, 21.0)
         wave = multisine(moved, amplitude=1.0, frequencies=tones, seed=seed).values
         out.append(("a multisine from 1 to 20 Hz", placed(wave / np.abs(wave).max())))

@@ -9,6 +9,7 @@ from identifiability.inference.widths import Width, Widths
 LOOSE = 0.5
 """Half the 95 % interval over the value from which a parameter counts as not pinned down: a
 convention, with which its value is known to a factor of three at best."""
+_NOTHING = 1e-3  # share of an upper end that is none
 
 
 def interval(row: Width) -> tuple[float, float, str]:
@@ -37,6 +38,10 @@ def not_pinned_down(found: Widths) -> tuple[str, ...]:
     for row in found.rows:
         low, high, _ = interval(row)
         name = row.name.replace("_", " ")
+        unit = "" if row.unit == "1" else f" {row.unit}"
+        if row.profile_sides == ("bound", "closed") and abs(row.optimum) < _NOTHING * high:
+            out.append(f"{name} is small, or nothing at all: at most {high:.3g}{unit} (95 %).")
+            continue
         sides = [
             words
             for words, side in zip(("below", "above"), row.profile_sides, strict=True)
@@ -45,7 +50,6 @@ def not_pinned_down(found: Widths) -> tuple[str, ...]:
         if sides:
             out.append(f"The data do not bound {name} {' or '.join(sides)}.")
         elif np.isfinite(high - low) and 0.5 * (high - low) > LOOSE * abs(row.optimum):
-            unit = "" if row.unit == "1" else f" {row.unit}"
             out.append(
                 f"{name} is hardly known: anywhere from {low:.3g} to {high:.3g}{unit} (95 %)."
             )

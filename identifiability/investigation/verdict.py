@@ -11,6 +11,7 @@ from identifiability.investigation.admission import (
     DECISIVE,
     FORM,
     ONLY_MENDS,
+    TOO_LITTLE,
     Ranked,
     does_as_well,
 )
@@ -21,6 +22,7 @@ from identifiability.investigation.power import Detectable
 from identifiability.investigation.search import Search
 from identifiability.investigation.unexplained import Unexplained
 from identifiability.joint.effects.base import Effect
+from identifiability.joint.model import KBI
 
 EXPLAINED_SHARE = 0.8
 """Share of the held-out misfit beyond the noise that named effects must remove to be called the
@@ -32,6 +34,7 @@ NAMED_SHARE = 0.5
 """The same where the noise is unknown, and with it the misfit beyond the noise; and the share from
 which an effect that does not explain all is named at all."""
 _TRACE = 0.01  # share of what is left, below which an account of it explains nothing
+_NONE = 1e-6  # share of its usual value that is no stiffness or damping at all
 _ENOUGH_NOISE = 1.5  # times the quiet samples' noise, beyond which an explanation is not complete
 
 KINDS = (
@@ -103,7 +106,7 @@ def judge(
     share = _share(evidence, baseline, final)
     because = [_errors(evidence, baseline, final), *_one_by_one(evidence, search)]
     quiet = _quiet(evidence, final, rest)
-    because += [*_reasons(evidence, search, sets, library), *_clue(search)]
+    because += [*_reasons(evidence, search, sets, library), *_clue(search), *_at_bound(final)]
     if search.description is not None:
         return _described(search.description, search, share, because)
     if not names:
@@ -364,9 +367,31 @@ def _clue(search: Search) -> list[str]:
                 f"{lower}; but equations that are right to a tenth leave as much, so that this is "
                 "at most a clue."
             ]
+        if r.reason == TOO_LITTLE:
+            values = ", ".join(r.values_in_words())
+            held = r.candidate.held_out
+            there = f" and to {held.error:.3g} on the held-out trials" if held.by_trial else ""
+            return [
+                f"{lower}{there} ({values}); that is too little of what is left to be more than a "
+                "clue."
+            ]
         if r.objection and r.reason == r.objection:
             return [f"{lower}; but {r.objection}, so that it would stand for something else."]
     return []
+
+
+def _at_bound(final: Candidate) -> list[str]:
+    """Which of K, B and I lies at a bound; that it may be none at all is no bound."""
+    out = []
+    for parameter in (KBI().parameters[name] for name in ("K", "B", "I")):
+        name, value = parameter.name, final.values.get(parameter.name, 0.0)
+        if name in final.at_bound and value > _NONE * parameter.nominal:
+            out.append(
+                f"{name} lies at the edge of the values that it was allowed, {value:.3g} "
+                f"{parameter.unit}, and the rest bends to that: if others are possible, allow them "
+                f"with --bounds {name}=LOW:HIGH."
+            )
+    return out
 
 
 def _plain(key: str) -> str:

@@ -14,7 +14,13 @@ from identifiability.investigation.investigate import Findings
 from identifiability.investigation.search import Step
 from identifiability.plots.style import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILLION, styled
 
+_DIVERGED = 1e3  # E of a prediction that has nothing to do with the trial any more
 _FEWEST = 1.0  # evidence below it is drawn at this length: the axis is logarithmic
+
+
+def error_text(error: float, digits: int = 3) -> str:
+    """E as text; "diverges" where a prediction has nothing to do with its trial any more."""
+    return f"{error:.{digits}g}" if error < _DIVERGED else "diverges"
 
 
 def ranking_figure(step: Step, members: Sequence[str] = ()) -> Figure:
@@ -48,7 +54,7 @@ def ranking_figure(step: Step, members: Sequence[str] = ()) -> Figure:
             if r.key in members and r.key != step.chosen:
                 mark = "   cannot be told apart from it"
             held = r.candidate.held_out.error
-            words = f"E held out {held:.2g}{mark}" if np.isfinite(held) else mark.strip()
+            words = f"E held out {error_text(held, 2)}{mark}" if np.isfinite(held) else mark.strip()
             axes.annotate(
                 words,
                 (max(r.evidence, _FEWEST), row),
@@ -57,14 +63,23 @@ def ranking_figure(step: Step, members: Sequence[str] = ()) -> Figure:
                 va="center",
                 fontsize=9,
                 color=BLACK,
+                bbox={"facecolor": "white", "edgecolor": "none", "pad": 1},
             )
         for row, _ in enumerate(failed, len(ranked)):
-            axes.annotate("no fit", (_FEWEST, row), va="center", fontsize=9, color=VERMILLION)
-        axes.axvline(DECISIVE, color=GREY, lw=1, ls="--")
+            axes.annotate(
+                "no fit",
+                (_FEWEST, row),
+                xytext=(5, 0),
+                textcoords="offset points",
+                va="center",
+                fontsize=9,
+                color=VERMILLION,
+            )
+        axes.axvline(DECISIVE, color=GREY, lw=1, ls="--", zorder=0)
         axes.set_yticks(
             range(len(step.ranking)), [r.key.replace("_", " ") for r in (*ranked, *failed)]
         )
-        axes.invert_yaxis()
+        axes.set_ylim(len(step.ranking) - 0.4, -0.6)
         axes.set_xscale("log")
         top = max([r.evidence for r in ranked] + [10 * DECISIVE])
         axes.set_xlim(_FEWEST, top**1.5)

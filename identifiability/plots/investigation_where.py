@@ -121,8 +121,9 @@ def where_figure(location: Location) -> Figure:
     Figure
     """
     with styled():
-        figure = Figure(figsize=(15.0, 11.5))
-        axes = figure.subplot_mosaic("TTTF;SVDA;KKKC")
+        alone = max(len(location.trials.names), len(location.conditions.names)) < 2
+        figure = Figure(figsize=(15.0, 8.0 if alone else 11.5))
+        axes = figure.subplot_mosaic("TTTF;SVDA" if alone else "TTTF;SVDA;KKKC")
         _time(axes["T"], location)
         _frequency(axes["F"], location)
         state = location.state
@@ -130,8 +131,10 @@ def where_figure(location: Location) -> Figure:
         _state(axes["V"], state.velocity, "velocity [rad/s]", state.sentence)
         _direction(axes["D"], location)
         _amplitude(axes["A"], location)
-        _trials(axes["K"], location.trials, "by trial", location.noise_known)
-        _trials(axes["C"], location.conditions, "by kind of perturbation", location.noise_known)
+        if not alone:
+            known = location.noise_known
+            _trials(axes["K"], location.trials, "by trial", known)
+            _trials(axes["C"], location.conditions, "by kind of perturbation", known)
         what = "the noise" if location.noise_known else "its typical level: the noise is unknown"
         figure.suptitle(
             f"Where the model fails: residual against {what}. Filled: significant "
@@ -197,7 +200,7 @@ def _time(panel: Axes, location: Location) -> None:
 
 def _frequency(panel: Axes, location: Location) -> None:
     view = location.frequency
-    if not view.ratio.size:
+    if not (view.ratio.size if location.noise_known else np.isfinite(view.coherence).any()):
         _empty(panel, "by frequency", view.sentence)
         return
     panel.set_title("by frequency", loc="left")
@@ -354,7 +357,7 @@ def comparison_figure(comparison: Comparison) -> Figure:
             figure.text(0.5, 0.5, "There are no parts to compare.", ha="center", color=GREY)
             return figure
         counts = [max(len(c.groups), 2.5) for c in shown]
-        figure = Figure(figsize=(min(4.0 + 0.55 * sum(counts), 15.0), 8.0))
+        figure = Figure(figsize=(min(max(4.0 + 0.55 * sum(counts), 7.5), 15.0), 8.0))
         axes = figure.subplots(
             3, len(shown), sharex="col", sharey="row", squeeze=False, width_ratios=counts
         )
@@ -371,14 +374,18 @@ def comparison_figure(comparison: Comparison) -> Figure:
         for panel, constancy in zip(axes[2], shown, strict=True):
             _label(panel, [group.label for group in constancy.groups], turned=True)
         figure.align_ylabels(axes[:, 0])
-        figure.suptitle("A joint that is what the model says has one K, B and I in every part")
+        figure.suptitle(
+            "A joint that is what the model says has one K, B and I in every part", fontsize=12
+        )
     return figure
 
 
 def _limits(comparison: Comparison, shown: Sequence[Constancy], i: int) -> tuple[float, float]:
     """Range of one parameter's axis; estimates that say next to nothing do not stretch it."""
     centre = float(comparison.overall.values[i])
-    low, high = [centre], [centre]
+    spread = _INTERVAL * float(comparison.overall.errors[i])
+    spread = min(spread, 2 * abs(centre)) if np.isfinite(spread) else 0.0
+    low, high = [centre - spread], [centre + spread]
     for constancy in shown:
         for group in constancy.groups:
             value, error = float(group.values[i]), _INTERVAL * float(group.errors[i])

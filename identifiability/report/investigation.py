@@ -11,7 +11,13 @@ from identifiability.investigation.admission import DECISIVE, Ranked
 from identifiability.investigation.investigate import Findings
 from identifiability.investigation.pinned import interval, not_pinned_down
 from identifiability.investigation.search import Step
-from identifiability.plots.investigation import ladder_figure, ranking_figure, widths_figure
+from identifiability.joint.parameters import Parameter
+from identifiability.plots.investigation import (
+    error_text,
+    ladder_figure,
+    ranking_figure,
+    widths_figure,
+)
 from identifiability.plots.investigation_unexplained import unexplained_figure
 from identifiability.plots.investigation_where import (
     comparison_figure,
@@ -117,7 +123,7 @@ def write_report(findings: Findings, record: dict[str, Any], out: Path) -> list[
                 key.replace("_", " "),
                 r.key.replace("_", " "),
                 f"{r.evidence:.1f}",
-                f"{r.candidate.held_out.error:.3g}",
+                error_text(r.candidate.held_out.error),
             ]
             for key, ranked in search.alternatives.items()
             for r in ranked[:4]
@@ -137,7 +143,7 @@ def write_report(findings: Findings, record: dict[str, Any], out: Path) -> list[
             f"Held against {' and '.join(replaced)}: {r.key.replace('_', ' ')}, which names no "
             f"one mechanism, {'and displaces' if r.passes else 'but does not displace'} "
             f"{'it' if len(replaced) == 1 else 'them'}. Evidence against the final model "
-            f"{r.evidence:.1f}, E held out {r.candidate.held_out.error:.3g}."
+            f"{r.evidence:.1f}, E held out {error_text(r.candidate.held_out.error)}."
         )
 
     page.heading("Error ladder")
@@ -269,13 +275,6 @@ def _ranking_row(r: Ranked) -> list[str]:
             "",
             f"no fit: {r.candidate.failure}",
         ]
-    parameters = r.candidate.model.parameters
-    values = ", ".join(
-        f"{name.split('.')[1].replace('_', ' ')} {value:.3g}"
-        + (f" {parameters[name].unit}" if parameters[name].unit != "1" else "")
-        for name, value in r.candidate.values.items()
-        if name.startswith(f"{r.key}.") and name in r.candidate.free
-    )
     remarks = [r.reason] if r.reason else []
     if not r.candidate.thorough:
         remarks.append("fell behind after a glance")
@@ -286,9 +285,9 @@ def _ranking_row(r: Ranked) -> list[str]:
         r.key.replace("_", " "),
         r.effect.kind,
         f"{r.evidence:.1f}",
-        f"{r.candidate.fitted.error:.3g}",
-        f"{r.candidate.held_out.error:.3g}" if r.candidate.held_out.by_trial else "",
-        values,
+        error_text(r.candidate.fitted.error),
+        error_text(r.candidate.held_out.error) if r.candidate.held_out.by_trial else "",
+        ", ".join(r.values_in_words()),
         "; ".join(remarks),
     ]
 
@@ -304,9 +303,8 @@ def _values_table(page: Page, values: Any, parameters: Any) -> None:
 def _widths_table(page: Page, found: Any, parameters: Any) -> None:
     rows = [
         [
-            row.name.replace("_", " "),
-            f"{row.optimum:.4g}",
-            parameters[row.name].unit,
+            row.name.replace("_", " ").replace(".", ": "),
+            f"{row.optimum:.4g} {_unit(parameters[row.name])}",
             _number(row.slice),
             _number(row.quadratic),
             _number(row.profile),
@@ -320,7 +318,6 @@ def _widths_table(page: Page, found: Any, parameters: Any) -> None:
         [
             "parameter",
             "value",
-            "unit",
             "slice",
             "quadratic",
             "profile",
@@ -329,8 +326,12 @@ def _widths_table(page: Page, found: Any, parameters: Any) -> None:
             "verdict",
         ],
         rows,
-        text_columns=(2, 8),
+        text_columns=(1, 6, 7),
     )
+
+
+def _unit(parameter: Parameter) -> str:
+    return "" if parameter.unit == "1" else parameter.unit
 
 
 def _number(value: float | None) -> str:

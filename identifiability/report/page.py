@@ -9,7 +9,7 @@ from collections.abc import Sequence
 _STYLE = """
 :root { color-scheme: light; }
 body { font: 16px/1.5 system-ui, sans-serif; color: #1a1a1a; background: #fff;
-       max-width: 62rem; margin: 0 auto; padding: 1.5rem; }
+       max-width: 70rem; margin: 0 auto; padding: 1.5rem; }
 h1 { font-size: 1.7rem; margin: 0 0 .3rem; }
 h2 { font-size: 1.25rem; margin: 2.4rem 0 .6rem; border-bottom: 1px solid #ccc; }
 p { max-width: 46rem; }
@@ -17,11 +17,12 @@ p { max-width: 46rem; }
            font-size: 1.15rem; margin: 1rem 0; }
 .verdict p { margin: .2rem 0; max-width: none; }
 .scroll { overflow-x: auto; }
-table { border-collapse: collapse; margin: .6rem 0; font-size: .93rem; }
-th, td { text-align: right; padding: .25rem .7rem; border-bottom: 1px solid #ddd;
+table { border-collapse: collapse; margin: .6rem 0; font-size: .88rem; }
+th, td { text-align: right; padding: .25rem .55rem; border-bottom: 1px solid #ddd;
          white-space: nowrap; }
 th:first-child, td:first-child, td.text, th.text { text-align: left; }
-td.text { white-space: normal; min-width: 12rem; }
+td.text { white-space: normal; min-width: 6.5rem; }
+td.text:last-child { min-width: 13rem; }
 tr.chosen td { font-weight: 600; background: #eef4fb; }
 tr.failed td { color: #a33; }
 img { max-width: 100%; height: auto; }
