@@ -4,6 +4,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from scipy import stats
 
 from identifiability.investigation.candidates import NOTHING, Workbench, starting_values
@@ -375,8 +376,14 @@ def test_views_that_are_not_possible_say_so():
         assert found.p_value == 1.0
         assert found.sentence.startswith(("All", "There is one"))
     assert comparison.by("window").groups
-    where_figure(location)
-    comparison_figure(comparison)
+    shown = {panel.get_title(loc="left") for panel in where_figure(location).axes}
+    assert "by trial" not in shown  # one trial: there is nothing to draw
+    assert "by size" in shown
+    figure = comparison_figure(comparison)
+    # The title is not cut off where there is but one aspect.
+    FigureCanvasAgg(figure).draw()
+    title = figure._suptitle.get_window_extent()
+    assert 0 < title.x0 < title.x1 < figure.bbox.width
 
 
 def test_perturbations_of_a_long_record_have_levels_of_their_own():

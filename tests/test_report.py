@@ -13,11 +13,13 @@ from identifiability.files import plain
 from identifiability.investigation.admission import Ranked
 from identifiability.investigation.investigate import Investigation, investigate
 from identifiability.investigation.next_experiment import RESOLVED, Limits, next_experiment
+from identifiability.investigation.pinned import not_pinned_down
 from identifiability.investigation.power import detectable
 from identifiability.investigation.record import investigation_record
+from identifiability.investigation.search import Step
 from identifiability.joint.effects import EFFECTS
 from identifiability.joint.model import KBI
-from identifiability.plots.investigation import widths_figure
+from identifiability.plots.investigation import error_text, ranking_figure, widths_figure
 from identifiability.report.investigation import _ranking_row, write_report
 
 SMALL = {k: EFFECTS[k] for k in ("quadratic_stiffness", "cubic_stiffness")}
@@ -108,6 +110,75 @@ def test_the_widths_figure_names_the_widths_that_there_are(verdict, shown):
     assert [text.get_text() for text in figure.legends[0].get_texts()] == shown
     slices = figure.axes[0].lines[0].get_xdata()
     assert slices == pytest.approx([0.05])
+
+
+@pytest.mark.parametrize(
+    ("optimum", "interval", "sides", "said"),
+    [
+        (1.0, (0.6, 1.4), ("closed", "closed"), ""),
+        (1.0, (0.3, 1.7), ("closed", "closed"), "hardly known: anywhere from 0.3 to 1.7 Nm/rad"),
+        (1.0, (0.6, 1.4), ("closed", "open"), "do not bound K above"),
+        # At zero every interval is wide against the value; how small it must be is what is known.
+        (0.0, (0.001, 0.04), ("bound", "closed"), "small, or nothing at all: at most 0.04 Nm/rad"),
+        (0.02, (0.001, 0.04), ("bound", "closed"), "hardly known"),
+        (0.0, (0.001, 0.04), ("bound", "open"), "do not bound K above"),
+    ],
+)
+def test_what_is_said_of_a_parameter_that_is_not_pinned_down(optimum, interval, sides, said):
+    row = SimpleNamespace(
+        name="K",
+        unit="Nm/rad",
+        optimum=optimum,
+        posterior_95=interval,
+        profile_sides=sides,
+        verdict="agrees",
+    )
+    found = " ".join(not_pinned_down(SimpleNamespace(rows=[row])))
+    assert (said in found) if said else not found
+
+
+def test_a_prediction_that_explodes_is_called_so():
+    assert error_text(0.01234) == "0.0123"
+    assert error_text(0.01234, 2) == "0.012"
+    assert error_text(1e197) == error_text(np.inf) == "diverges"
+
+
+def test_every_row_of_a_ranking_lies_within_its_axes(quiet_study):
+    base = quiet_study.fit(KBI())
+    wild = replace(base, held_out=replace(base.held_out, errors=np.array([1e197])))
+    failed = replace(base, failure="no")
+    ranking = tuple(
+        Ranked(key, found, evidence, 0.0, False, "")
+        for key, found, evidence in (
+            ("quadratic_stiffness", with_effect(base, "quadratic_stiffness"), 50.0),
+            ("cubic_stiffness", with_effect(wild, "cubic_stiffness"), -3.0),
+            ("gravity", with_effect(failed, "gravity"), -np.inf),
+        )
+    )
+    axes = ranking_figure(Step(base, ranking, "")).axes[0]
+    texts = [t for t in axes.texts if t.get_text()]
+    assert [t.get_text() for t in texts][1:] == ["E held out diverges", "no fit"]
+    low, high = sorted(axes.get_ylim())
+    assert all(low + 0.3 < t.xy[1] < high - 0.3 for t in texts)
+
+
+def with_effect(candidate, key):
+    return replace(candidate, model=KBI() + EFFECTS[key]())
+
+
+def test_pulses_shorter_than_the_sampling_interval_are_not_proposed(quiet_study):
+    slow = [t.decimate(10) for t in trials(KBI(), JOINT)]
+    study = Investigation(slow, library=SMALL)
+    found = next_experiment(
+        study.bench,
+        study.fit(KBI() + EFFECTS["cubic_stiffness"]()),
+        study.fit(KBI() + EFFECTS["quadratic_stiffness"]()),
+        ("cubic", "quadratic"),
+        limits=Limits(8.0, 3.0, 0.5),
+    )
+    words = " ".join(d.perturbation for d in (found.best, *found.others))
+    assert "pulse of 20 ms" in words
+    assert "pulse of 5 ms" not in words
 
 
 def test_a_failed_candidate_is_shown_and_does_not_stop_the_rest(tmp_path):

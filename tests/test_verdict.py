@@ -1,5 +1,7 @@
 """Verdicts on constructed findings: what may be said, and no more."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from test_investigation import HELD, JOINT, trials
@@ -181,6 +183,24 @@ def test_what_was_refused_for_its_values_or_its_size_is_said(
     rank = Ranked("stretch_reflex", candidate(0.01), 50.0, 1.0, False, reason, objection)
     because = " ".join(verdict(evidence, keys, 0.9, refused=[rank]).because)
     assert ("With stretch reflex too, E would fall to 0.01" in because) == bool(said)
+    assert said in because
+
+
+@pytest.mark.parametrize(
+    ("values", "at_bound", "said"),
+    [
+        ({"I": 0.005}, ("I",), "I lies at the edge of the values that it was allowed, 0.005 kg m²"),
+        ({"K": 2000.0}, ("K",), "--bounds K=LOW:HIGH"),
+        # That a joint has no stiffness is no bound that could be widened.
+        ({"K": 1e-9, "B": 0.0}, ("K", "B"), ""),
+        ({"I": 0.005}, (), ""),
+    ],
+)
+def test_a_joint_at_the_edge_of_what_was_allowed_is_said(values, at_bound, said, evidence):
+    final = candidate(0.001, "gravity")
+    final = replace(final, values=final.values | values, at_bound=at_bound)
+    because = " ".join(verdict_of(evidence, final, "gravity").because)
+    assert ("--bounds" in because) == bool(said)
     assert said in because
 
 

@@ -6,6 +6,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from identifiability.files import write_text
 from identifiability.investigation.admission import DECISIVE, Ranked
 from identifiability.investigation.investigate import Findings
@@ -154,20 +156,11 @@ def write_report(findings: Findings, record: dict[str, Any], out: Path) -> list[
         "were not.",
     )
     floor = record["baseline"]["noise_floor"]
-    rows = [["K, B, I", _number(record["baseline"]["error_fit"])]]
-    rows[0].append(_number(record["baseline"]["error_held_out"]))
-    for step_record in record["steps"]:
-        rows.append(
-            [
-                "+ " + step_record["added"].replace("_", " "),
-                _number(step_record["error_fit"]),
-                _number(step_record["error_held_out"]),
-            ]
-        )
-    rows.append(
-        ["noise floor", _number(floor), _number(record["baseline"]["noise_floor_held_out"])]
-    )
-    page.table(["model", "E fitted", "E held out"], rows)
+    rungs = [("K, B, I", record["baseline"])]
+    rungs += [("+ " + step["added"].replace("_", " "), step) for step in record["steps"]]
+    rows = [_rung(name, rung["error_fit"], rung["error_held_out"]) for name, rung in rungs]
+    rows.append(_rung("noise floor", floor, record["baseline"]["noise_floor_held_out"]))
+    page.table(["model", "E fitted", "E held out", "VAF fitted [%]", "VAF held out [%]"], rows)
 
     page.heading("Unexplained torque")
     before = findings.unexplained_before
@@ -222,7 +215,7 @@ def write_report(findings: Findings, record: dict[str, Any], out: Path) -> list[
             f"identifiability {record['package']}, seed {record['seed']}",
             f"data SHA-256 {record['data_sha256']}",
             "E is the summed squared residual over the summed squared response of a trial (Eq. 3 "
-            "of Kistemaker & Rozendaal 2011), averaged over trials.",
+            "of Kistemaker & Rozendaal 2011), averaged over trials; VAF is 1 - E.",
             "Evidence is the number of independent samples times the logarithm of the ratio of "
             "residuals, less the penalty of the Bayesian information criterion.",
         ]
@@ -292,6 +285,11 @@ def _ranking_row(r: Ranked) -> list[str]:
     ]
 
 
+def _rung(name: str, fitted: float | None, held_out: float | None) -> list[str]:
+    vaf = ["" if e is None else f"{100 * (1 - e):.2f}" for e in (fitted, held_out)]
+    return [name, _number(fitted), _number(held_out), *vaf]
+
+
 def _values_table(page: Page, values: Any, parameters: Any) -> None:
     page.table(
         ["parameter", "value", "unit"],
@@ -335,4 +333,4 @@ def _unit(parameter: Parameter) -> str:
 
 
 def _number(value: float | None) -> str:
-    return "" if value is None else f"{value:.3g}"
+    return "" if value is None or not np.isfinite(value) else f"{value:.3g}"
