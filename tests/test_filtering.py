@@ -102,3 +102,11 @@ def test_rounding_of_a_coarse_encoder_no_longer_makes_the_inertia_too_small():
     )
     assert by_itself == pytest.approx(JOINT[2], rel=0.1)
     assert usual < 0.5 * JOINT[2]  # what rounding does to it otherwise
+
+
+def test_records_too_short_or_too_smooth_for_a_spectrum_keep_the_usual_cutoff():
+    ramp = np.arange(200.0)
+    for n in (3, 5, 20, 60, 200):
+        angle = 1e-3 * ramp[:n]
+        trial = Trial(ramp[:n] / 1000, np.cos(ramp[:n]), angle, driven="angle")
+        assert noise_cutoff([trial]) == HIGHEST_HZ

@@ -82,7 +82,7 @@ def noise_cutoff(trials: Sequence[Trial]) -> float:
 
     lower = power(_LOW * nyquist, _MIDDLE * nyquist)
     upper = power(_MIDDLE * nyquist, _HIGH * nyquist)
-    if not 1 / _FLAT < lower / upper < _FLAT:
+    if not upper / _FLAT < lower < upper * _FLAT:
         return highest
     noise, edge = 0.5 * (lower + upper), highest
     while (found := power(edge / _BAND, edge)) < 2 * noise:
