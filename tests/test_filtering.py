@@ -1,5 +1,7 @@
 """The low-pass filter of imposed angles: it cuts off what is noise, and the inertia stays."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import signal
@@ -10,7 +12,15 @@ from identifiability.inference.problem import Prior
 from identifiability.inference.recordings import prepare, recording_problem, whole
 from identifiability.investigation.evidence import gather
 from identifiability.joint.model import KBI
-from identifiability.measurement.filtering import HIGHEST_HZ, cutoff, noise_cutoff, stride
+from identifiability.joint.response import simulate
+from identifiability.measurement.filtering import (
+    HIGHEST_HZ,
+    cutoff,
+    noise_cutoff,
+    settled,
+    stride,
+)
+from identifiability.measurement.perturbations import SampledTorque
 from identifiability.measurement.trials import Trial
 
 JOINT = (3.0, 0.2, 0.15)
@@ -110,3 +120,34 @@ def test_records_too_short_or_too_smooth_for_a_spectrum_keep_the_usual_cutoff():
         angle = 1e-3 * ramp[:n]
         trial = Trial(ramp[:n] / 1000, np.cos(ramp[:n]), angle, driven="angle")
         assert noise_cutoff([trial]) == HIGHEST_HZ
+
+
+def test_the_ends_of_the_filter_are_not_compared():
+    # A joint that is K, B and I, moving at the end of the record.
+    time = np.arange(300) / 1000
+    torque = np.where((time > 0.05) & (time <= 0.06), 20.0, 0.0)
+    joint = np.array([30.0, 1.0, 0.1])
+    angle = simulate(KBI(), joint, SampledTorque(torque).drive(time))
+    trial = Trial(time, torque, angle, driven="angle")
+    ready = gather([trial, trial], lowpass_hz=50.0).fitted[0]
+    assert ready.first == 0  # it begins at rest
+    assert ready.last * ready.drive.interval == pytest.approx(0.3 - 2 / 50, abs=0.005)
+    prepared = prepare(trial, KBI(), lowpass_hz=50.0)
+    by_all = replace(prepared, settled=(0, prepared.time.size))
+    assert residual(prepared, joint) < 1e-5
+    assert residual(by_all, joint) > 1e-3  # what the ends would add
+
+
+def test_a_record_that_begins_in_motion_loses_both_ends():
+    trial = swing(n=500)
+    assert settled(trial, 50.0) == (20, 480)
+    assert settled(trial, 5.0) == (125, 375)  # half is kept, come what may
+
+
+def residual(prepared, values):
+    """E at known K, B and I, but for the level."""
+    selection = whole(prepared)
+    problem = recording_problem([prepared], [selection], model=KBI(), prior=Prior.physical(KBI()))
+    response = prepared.response[selection.samples]
+    missed = response - problem.responses(values)[0][selection.samples]
+    return np.var(missed) / np.var(response)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from test_investigation import HELD, JOINT, trials
 
-from identifiability.investigation.admission import ONLY_MENDS, TOO_LITTLE, Ranked
+from identifiability.investigation.admission import DISAGREE, ONLY_MENDS, TOO_LITTLE, Ranked
 from identifiability.investigation.candidates import Candidate, Residual
 from identifiability.investigation.evidence import gather
 from identifiability.investigation.library_free.explanation import Family
@@ -172,6 +172,7 @@ def test_joint_and_instruments_that_do_as_well_are_said_to_be_one_of_both(eviden
         ("a delay of 15 ms would be short", "a delay of 15 ms would be short", "a delay of 15 ms"),
         (ONLY_MENDS, "", "at most a clue"),
         (TOO_LITTLE, "", "too little of what is left to be more than a clue"),
+        (DISAGREE, "", "neither better nor worse"),
         # What the data do not ask for is not worth a word, possible or not.
         ("no decisive evidence", "a delay of 15 ms would be short", ""),
         ("no decisive evidence", "", ""),
@@ -180,10 +181,16 @@ def test_joint_and_instruments_that_do_as_well_are_said_to_be_one_of_both(eviden
 def test_what_was_refused_for_its_values_or_its_size_is_said(
     keys, reason, objection, said, evidence
 ):
-    rank = Ranked("stretch_reflex", candidate(0.01), 50.0, 1.0, False, reason, objection)
+    gain = 0.0 if reason == DISAGREE else 1.0
+    rank = Ranked("stretch_reflex", candidate(0.01), 50.0, gain, False, reason, objection)
     because = " ".join(verdict(evidence, keys, 0.9, refused=[rank]).because)
     assert ("With stretch reflex too, E would fall to 0.01" in because) == bool(said)
     assert said in because
+
+
+def test_an_effect_that_the_held_out_trials_refute_is_no_clue(evidence):
+    rank = Ranked("stretch_reflex", candidate(0.01), 50.0, -0.5, False, DISAGREE)
+    assert "stretch reflex" not in " ".join(verdict(evidence, (), 0.9, refused=[rank]).because)
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,7 @@ from identifiability.inference.fitting import Fit, fit, starting_points
 from identifiability.inference.problem import Observation, Prior, Problem, observe
 from identifiability.inference.widths import Widths, widths
 from identifiability.joint.model import KBI, Model
-from identifiability.measurement.filtering import Lowpass, cutoff, stride
+from identifiability.measurement.filtering import Lowpass, cutoff, settled, stride
 from identifiability.measurement.noise import Noise
 from identifiability.measurement.perturbations import Drive, SampledTorque, imposed_motion
 from identifiability.measurement.trials import Trial, onsets, quiet_lead
@@ -43,6 +43,8 @@ class Prepared:
     has_offset : bool
         Whether the response's level at rest is unknown. It is known where a quiet lead was
         recorded.
+    settled : (int, int)
+        First and last of these samples (excluded) that the ends of the filter do not touch.
     """
 
     trial: Trial
@@ -52,6 +54,7 @@ class Prepared:
     stride: int
     onsets: np.ndarray
     has_offset: bool
+    settled: tuple[int, int]
 
     @property
     def interval(self) -> float:
@@ -86,14 +89,16 @@ def prepare(trial: Trial, model: Model, *, lowpass_hz: Lowpass = "auto") -> Prep
         quiet = quiet_lead(trial) >= _QUIET_SAMPLES
         ready = trial.centred("baseline" if quiet else "none")
         drive = SampledTorque(ready.torque).drive(ready.time)
-        return Prepared(ready, ready.time, drive, ready.angle, 1, moves, not quiet)
-    ready, every = trial.centred("mean"), 1
+        all_ = (0, ready.n_samples)
+        return Prepared(ready, ready.time, drive, ready.angle, 1, moves, not quiet, all_)
+    ready, every, (first, last) = trial.centred("mean"), 1, (0, trial.n_samples)
     cutoff_hz = cutoff([trial], lowpass_hz)
     if cutoff_hz is not None:
         ready, every = ready.lowpass(cutoff_hz), stride(trial, cutoff_hz)
+        first, last = settled(trial, cutoff_hz)
     drive = imposed_motion(ready.time, ready.angle)
     if model.n_internal or not model.linear:
-        return Prepared(ready, ready.time, drive, ready.torque, every, moves, True)
+        return Prepared(ready, ready.time, drive, ready.torque, every, moves, True, (first, last))
     thinned = replace(
         drive,
         interval=drive.interval * every,
@@ -101,7 +106,17 @@ def prepare(trial: Trial, model: Model, *, lowpass_hz: Lowpass = "auto") -> Prep
         impulses=drive.impulses[::every],
     )
     kept = slice(None, None, every)
-    return Prepared(ready, ready.time[kept], thinned, ready.torque[kept], 1, moves // every, True)
+    first, last = -(-first // every), -(-last // every)
+    return Prepared(
+        ready,
+        ready.time[kept],
+        thinned,
+        ready.torque[kept],
+        1,
+        moves // every,
+        True,
+        (first, last),
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,8 +157,9 @@ class Selection:
 
 def whole(prepared: Prepared, start: float = 0.0, stop: float = 1.0) -> Selection:
     """All compared samples between two fractions of the trial."""
-    n = prepared.time.size
-    samples = np.arange(round(start * n), round(stop * n), prepared.stride)
+    n, (first, last) = prepared.time.size, prepared.settled
+    low, high = max(round(start * n), first), min(round(stop * n), last)
+    samples = np.arange(low, high, prepared.stride)
     return Selection(samples, 1, np.zeros(samples.size, int) if prepared.has_offset else None)
 
 

@@ -37,6 +37,7 @@ A further effect that removes less than this share of what those before it remov
 their equations, and a rival that removes all but this share is not excluded by it."""
 ONLY_MENDS = "may only mend the equations of the effects before it"
 TOO_LITTLE = "removes too little of what is left"
+DISAGREE = "the held-out trials do not agree"
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,7 +134,7 @@ class Gate:
         if gain < DECISIVE:
             reason = "no decisive evidence"
         elif not self._held_out_agrees(candidate, current, held):
-            reason = "the held-out trials do not agree"
+            reason = DISAGREE
         elif not self._matters(candidate, current):
             reason = TOO_LITTLE
         elif self.only_mends(candidate, current):

@@ -15,7 +15,7 @@ import numpy as np
 from identifiability.errors import InputError
 from identifiability.inference.problem import Observation, observe
 from identifiability.inference.recordings import integrated_autocorrelation
-from identifiability.measurement.filtering import Lowpass, cutoff, stride
+from identifiability.measurement.filtering import Lowpass, cutoff, settled, stride
 from identifiability.measurement.noise import Noise
 from identifiability.measurement.perturbations import Drive, SampledTorque, imposed_motion
 from identifiability.measurement.trials import Trial, onsets, quiet_lead
@@ -219,7 +219,7 @@ def gather(
     if rest:
         return Evidence(tuple(fit), tuple(rest), f"{len(rest)} trials that were named")
     if len(fit) == 1:
-        middle = fit[0].response.size // 2
+        middle = (fit[0].first + fit[0].last) // 2
         parts = replace(fit[0], last=middle), replace(fit[0], first=middle)
         if min(np.ptp(p.compared) for p in parts) == 0:
             raise InputError(
@@ -299,12 +299,15 @@ def _ready(trials: Sequence[Trial], lowpass_hz: Lowpass) -> list[Ready]:
 
 def _angle_driven(trial: Trial, cutoff_hz: float | None) -> Ready:
     ready = trial.centred("mean")
+    first, last, every = 0, trial.n_samples, 1
     if cutoff_hz is not None:
         ready = ready.lowpass(cutoff_hz)
+        first, last = settled(trial, cutoff_hz)
         if (every := stride(trial, cutoff_hz)) > 1:
             ready = ready.decimate(every)
     drive = imposed_motion(ready.time, ready.angle)
-    return Ready(ready, 0, ready.n_samples, drive, ready.torque, NO_LEAD, True)
+    first, last = -(-first // every), -(-last // every)
+    return Ready(ready, first, last, drive, ready.torque, NO_LEAD, True)
 
 
 def _resolution(values: np.ndarray) -> float:

@@ -9,6 +9,7 @@ import numpy as np
 
 from identifiability.investigation.admission import (
     DECISIVE,
+    DISAGREE,
     FORM,
     ONLY_MENDS,
     TOO_LITTLE,
@@ -34,6 +35,7 @@ NAMED_SHARE = 0.5
 """The same where the noise is unknown, and with it the misfit beyond the noise; and the share from
 which an effect that does not explain all is named at all."""
 _TRACE = 0.01  # share of what is left, below which an account of it explains nothing
+_UNMOVED = 0.05  # change of the logarithm of a held-out error that says nothing either way
 _NONE = 1e-6  # share of its usual value that is no stiffness or damping at all
 _ENOUGH_NOISE = 1.5  # times the quiet samples' noise, beyond which an explanation is not complete
 
@@ -367,13 +369,17 @@ def _clue(search: Search) -> list[str]:
                 f"{lower}; but equations that are right to a tenth leave as much, so that this is "
                 "at most a clue."
             ]
+        values, held = ", ".join(r.values_in_words()), r.candidate.held_out
         if r.reason == TOO_LITTLE:
-            values = ", ".join(r.values_in_words())
-            held = r.candidate.held_out
             there = f" and to {held.error:.3g} on the held-out trials" if held.by_trial else ""
             return [
                 f"{lower}{there} ({values}); that is too little of what is left to be more than a "
                 "clue."
+            ]
+        if r.reason == DISAGREE and abs(r.held_out_gain) < _UNMOVED:
+            return [
+                f"{lower} ({values}); but the held-out trials are predicted neither better nor "
+                f"worse ({held.error:.3g}), so that this is at most a clue."
             ]
         if r.objection and r.reason == r.objection:
             return [f"{lower}; but {r.objection}, so that it would stand for something else."]

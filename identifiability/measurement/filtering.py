@@ -15,7 +15,7 @@ import numpy as np
 from scipy import signal
 
 from identifiability.errors import InputError
-from identifiability.measurement.trials import Trial
+from identifiability.measurement.trials import Trial, quiet_lead
 
 Lowpass = float | Literal["auto"] | None
 """Cut-off frequency [Hz]; "auto" as `noise_cutoff` finds it; ``None`` for no filter."""
@@ -29,6 +29,8 @@ _SEGMENT_S = 1.0  # of the averaged spectra, which then reach down to a few Hz
 _LOW, _MIDDLE, _HIGH = 0.5, 0.75, 0.95
 _FLAT = (_MIDDLE + _HIGH) / (_LOW + _MIDDLE)
 _SAMPLES_PER_CYCLE = 5.0
+# Cycles of the cut-off over which the filter reaches: its slowest pole fades by exp(-2.4) in each.
+_REACH, _LARGEST_SHARE = 2.0, 0.25
 
 
 def cutoff(trials: Sequence[Trial], lowpass_hz: Lowpass) -> float | None:
@@ -99,3 +101,21 @@ def _spectrum(trial: Trial) -> tuple[np.ndarray, np.ndarray]:
 def stride(trial: Trial, cutoff_hz: float) -> int:
     """Return how many samples to go on: those between tell nothing new below a cut-off [Hz]."""
     return max(1, int(trial.sampling_rate / (_SAMPLES_PER_CYCLE * cutoff_hz)))
+
+
+def settled(trial: Trial, cutoff_hz: float) -> tuple[int, int]:
+    """Return first and last sample (excluded) that the filter made from recorded samples alone.
+
+    Beyond the ends of a record the filter has to guess, and guesses angle and torque each by
+    itself: there they do not belong together. A record that begins at rest is guessed rightly.
+
+    Parameters
+    ----------
+    trial : Trial
+        As it was recorded.
+    cutoff_hz : float
+        Cut-off frequency [Hz].
+    """
+    n = trial.n_samples
+    edge = min(round(_REACH * trial.sampling_rate / cutoff_hz), int(_LARGEST_SHARE * n))
+    return (0 if quiet_lead(trial) else edge), n - edge
