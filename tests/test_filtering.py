@@ -138,10 +138,21 @@ def test_the_ends_of_the_filter_are_not_compared():
     assert residual(by_all, joint) > 1e-3  # what the ends would add
 
 
+def test_a_noisy_record_that_begins_at_rest_keeps_its_beginning():
+    # A push 50 ms after the start, seen by a sensor with a hundredth of the motion as noise.
+    time = np.arange(800) / 1000
+    torque = np.where((time > 0.05) & (time <= 0.06), 20.0, 0.0)
+    angle = simulate(KBI(), np.array([30.0, 1.0, 0.1]), SampledTorque(torque).drive(time))
+    for seed in range(20):
+        noise = 0.01 * angle.std() * np.random.default_rng(seed).standard_normal(time.size)
+        trial = Trial(time, torque, angle + noise, driven="angle")
+        assert settled(trial, 25.0) == (0, 720)
+
+
 def test_a_record_that_begins_in_motion_loses_both_ends():
     trial = swing(n=500)
     assert settled(trial, 50.0) == (20, 480)
-    assert settled(trial, 5.0) == (125, 375)  # half is kept, come what may
+    assert settled(trial, 5.0) == (0, 375)  # a quarter is lost at most
 
 
 def residual(prepared, values):

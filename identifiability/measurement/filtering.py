@@ -15,7 +15,7 @@ import numpy as np
 from scipy import signal
 
 from identifiability.errors import InputError
-from identifiability.measurement.trials import Trial, quiet_lead
+from identifiability.measurement.trials import Trial
 
 Lowpass = float | Literal["auto"] | None
 """Cut-off frequency [Hz]; "auto" as `noise_cutoff` finds it; ``None`` for no filter."""
@@ -30,7 +30,8 @@ _LOW, _MIDDLE, _HIGH = 0.5, 0.75, 0.95
 _FLAT = (_MIDDLE + _HIGH) / (_LOW + _MIDDLE)
 _SAMPLES_PER_CYCLE = 5.0
 # Cycles of the cut-off over which the filter reaches: its slowest pole fades by exp(-2.4) in each.
-_REACH, _LARGEST_SHARE = 2.0, 0.25
+_REACH, _LARGEST_SHARE, _SMALL_SHARE = 2.0, 0.25, 0.05
+_AT_REST = 0.1  # share of the fastest motion that is none
 
 
 def cutoff(trials: Sequence[Trial], lowpass_hz: Lowpass) -> float | None:
@@ -107,7 +108,8 @@ def settled(trial: Trial, cutoff_hz: float) -> tuple[int, int]:
     """Return first and last sample (excluded) that the filter made from recorded samples alone.
 
     Beyond the ends of a record the filter has to guess, and guesses angle and torque each by
-    itself: there they do not belong together. A record that begins at rest is guessed rightly.
+    itself: there they do not belong together. A record that begins at rest is guessed rightly. A
+    short one most likely does; its beginning is left in, for the perturbation may be there.
 
     Parameters
     ----------
@@ -118,4 +120,11 @@ def settled(trial: Trial, cutoff_hz: float) -> tuple[int, int]:
     """
     n = trial.n_samples
     edge = min(round(_REACH * trial.sampling_rate / cutoff_hz), int(_LARGEST_SHARE * n))
-    return (0 if quiet_lead(trial) else edge), n - edge
+    long = edge < _SMALL_SHARE * n
+    return edge if long and not _begins_at_rest(trial, max(1, edge // 4)) else 0, n - edge
+
+
+def _begins_at_rest(trial: Trial, n: int) -> bool:
+    """Whether the angle hardly moves over the first so many samples, which noise barely changes."""
+    moved = np.abs(trial.angle[n:] - trial.angle[:-n])
+    return bool(moved[0] < _AT_REST * moved.max())
