@@ -2,7 +2,7 @@
 
 import pytest
 
-from identifiability.investigation.admission import DECISIVE, does_as_well
+from identifiability.investigation.admission import does_as_well
 from identifiability.investigation.investigate import Investigation
 from identifiability.joint.effects import EFFECTS
 from identifiability.joint.model import KBI
@@ -46,30 +46,25 @@ def test_the_pendulum_has_gravity_then_friction_then_a_shift_of_the_channels(sha
     # A swing-up: the second half goes over the top, the first swings by half a radian.
     assert "first half" in study.evidence.how_held_out
     found = study.search(study.fit(KBI()))
-    # Friction and a damping that saturates are one curve at these speeds; springs are not gravity.
-    first, second = (key for key, _ in found.ladder)
-    friction = ["coulomb_friction", "hill_force_velocity"]
-    assert (first, second in friction) == ("gravity", True)
+    # Friction and a damping that saturates are nearly one curve; springs are not gravity.
+    first, second, third = (key for key, _ in found.ladder)
+    friction = {"coulomb_friction", "hill_force_velocity"}
+    assert (first, second in friction, third) == ("gravity", True, "sensor_delay")
     as_well = {
-        key: [r.key for r in ranked if not r.candidate.failure and does_as_well(r, found.final)]
+        key: {r.key for r in ranked if not r.candidate.failure and does_as_well(r, found.final)}
         for key, ranked in found.alternatives.items()
     }
-    assert as_well["gravity"] == []
-    assert sorted([second, *as_well[second]]) == friction
+    assert not as_well[first]
+    assert friction <= {second} | as_well[second]
+    assert not as_well[third]
     rungs = [found.baseline, *(rung for _, rung in found.ladder)]
     fitted = [100 * (1 - rung.fitted.error) for rung in rungs]
-    assert fitted == pytest.approx([57.5, 96.4, 96.8], abs=0.3)  # K may not be negative
+    assert fitted == pytest.approx([57.6, 96.4, 96.7, 97.6], abs=0.3)  # K may not be negative
     held_out = [100 * (1 - rung.held_out.error) for rung in rungs]
-    assert held_out == pytest.approx([60.1, 89.1, 93.4], abs=0.5)
-    # Elsewhere: 2.8 to 3.3 Nm.
-    assert found.final.values["gravity.moment"] == pytest.approx(3.0, abs=0.3)
-    # What comes next is the shift, 16 ms, but the half that was held out gains nothing by it.
-    shift = found.steps[-1].ranking[0]
-    assert (shift.key, shift.passes) == ("sensor_delay", False)
-    assert shift.evidence > DECISIVE
-    assert abs(shift.held_out_gain) < 0.05
-    assert shift.candidate.values["sensor_delay.delay"] == pytest.approx(-0.016, abs=0.003)
-    assert 100 * (1 - shift.candidate.fitted.error) == pytest.approx(97.7, abs=0.3)
+    assert held_out == pytest.approx([57.1, 88.0, 93.3, 93.5], abs=0.5)
+    # Elsewhere: 2.8 to 3.3 Nm, and some 16 ms.
+    assert found.final.values["gravity.moment"] == pytest.approx(3.1, abs=0.3)
+    assert found.final.values["sensor_delay.delay"] == pytest.approx(-0.014, abs=0.003)
 
 
 def test_the_ankle_has_a_stretch_reflex_and_no_sensor_shift(shared_data):
