@@ -40,6 +40,17 @@ def add_file_options(parser: argparse.ArgumentParser) -> None:
     )
 
 
+def add_lowpass_option(parser: argparse.ArgumentParser) -> None:
+    """Add the option that `parse_lowpass` reads."""
+    parser.add_argument(
+        "--lowpass",
+        default="auto",
+        metavar="HZ",
+        help="zero-phase low-pass of both channels where the angle is imposed (50 Hz, or lower "
+        "where the angle above is but noise), or 'none'",
+    )
+
+
 def read_trials(options: argparse.Namespace, files: Sequence[Path] | None = None) -> list[Trial]:
     """Read the trials that the file options name, or those in other files, read alike."""
     from identifiability.measurement.columns import parse_columns
@@ -76,13 +87,7 @@ def add_parser(commands: Any) -> None:
         metavar="T",
         help="windows after each perturbation [s] to be fitted too (0.05 0.1 0.2, where they fit)",
     )
-    parser.add_argument(
-        "--lowpass",
-        default="auto",
-        metavar="HZ",
-        help="zero-phase low-pass of both channels where the angle is imposed (50 Hz, or lower "
-        "where the angle above is but noise), or 'none'",
-    )
+    add_lowpass_option(parser)
     parser.add_argument(
         "--bounds",
         nargs="+",

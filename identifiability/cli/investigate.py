@@ -10,7 +10,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from identifiability.cli.fit import add_file_options, parse_bounds, parse_lowpass, read_trials
+from identifiability.cli.fit import (
+    add_file_options,
+    add_lowpass_option,
+    parse_bounds,
+    parse_lowpass,
+    read_trials,
+)
 from identifiability.errors import InputError
 
 if TYPE_CHECKING:
@@ -37,13 +43,7 @@ def add_parser(commands: Any) -> None:
         metavar="FILE",
         help="a trial that no model is fitted to (may be repeated; chosen by itself if none is)",
     )
-    parser.add_argument(
-        "--lowpass",
-        default="auto",
-        metavar="HZ",
-        help="zero-phase low-pass of both channels where the angle is imposed (50 Hz, or lower "
-        "where the angle above is but noise), or 'none'",
-    )
+    add_lowpass_option(parser)
     parser.add_argument(
         "--bounds",
         nargs="+",

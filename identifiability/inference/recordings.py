@@ -13,7 +13,7 @@ from identifiability.inference.fitting import Fit, fit, starting_points
 from identifiability.inference.problem import Observation, Prior, Problem, observe
 from identifiability.inference.widths import Widths, widths
 from identifiability.joint.model import KBI, Model
-from identifiability.measurement.filtering import Lowpass, cutoff, settled, stride
+from identifiability.measurement.filtering import Lowpass, cutoff, smooth
 from identifiability.measurement.noise import Noise
 from identifiability.measurement.perturbations import Drive, SampledTorque, imposed_motion
 from identifiability.measurement.trials import Trial, onsets, quiet_lead
@@ -89,16 +89,15 @@ def prepare(trial: Trial, model: Model, *, lowpass_hz: Lowpass = "auto") -> Prep
         quiet = quiet_lead(trial) >= _QUIET_SAMPLES
         ready = trial.centred("baseline" if quiet else "none")
         drive = SampledTorque(ready.torque).drive(ready.time)
-        all_ = (0, ready.n_samples)
-        return Prepared(ready, ready.time, drive, ready.angle, 1, moves, not quiet, all_)
-    ready, every, (first, last) = trial.centred("mean"), 1, (0, trial.n_samples)
-    cutoff_hz = cutoff([trial], lowpass_hz)
-    if cutoff_hz is not None:
-        ready, every = ready.lowpass(cutoff_hz), stride(trial, cutoff_hz)
-        first, last = settled(trial, cutoff_hz)
+        everything = (0, ready.n_samples)
+        return Prepared(ready, ready.time, drive, ready.angle, 1, moves, not quiet, everything)
+    smoothed = smooth(trial, cutoff([trial], lowpass_hz))
+    ready, every = smoothed.trial, smoothed.every
     drive = imposed_motion(ready.time, ready.angle)
     if model.n_internal or not model.linear:
-        return Prepared(ready, ready.time, drive, ready.torque, every, moves, True, (first, last))
+        return Prepared(
+            ready, ready.time, drive, ready.torque, every, moves, True, smoothed.settled
+        )
     thinned = replace(
         drive,
         interval=drive.interval * every,
@@ -106,7 +105,6 @@ def prepare(trial: Trial, model: Model, *, lowpass_hz: Lowpass = "auto") -> Prep
         impulses=drive.impulses[::every],
     )
     kept = slice(None, None, every)
-    first, last = -(-first // every), -(-last // every)
     return Prepared(
         ready,
         ready.time[kept],
@@ -115,7 +113,7 @@ def prepare(trial: Trial, model: Model, *, lowpass_hz: Lowpass = "auto") -> Prep
         1,
         moves // every,
         True,
-        (first, last),
+        smoothed.settled_of_kept,
     )
 
 
@@ -386,7 +384,7 @@ def fit_recordings(
         raise InputError("found torque- and angle-driven trials together; fit them one by one")
     model = KBI() if model is None else model
     prior = Prior.physical(model) if prior is None else prior
-    cutoff_hz = cutoff(trials, lowpass_hz) if trials[0].driven == "angle" else None
+    cutoff_hz = cutoff(trials, lowpass_hz)
     prepared = tuple(prepare(trial, model, lowpass_hz=cutoff_hz) for trial in trials)
     selections_by_window = [[windows(p, length) for p in prepared] for length in window_lengths]
     selections = [whole(p) for p in prepared]

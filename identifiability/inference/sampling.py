@@ -370,7 +370,7 @@ def _judge(
         long_enough = draws.shape[1] >= _FEWEST_STEPS * dependent_walkers
     # Walkers that start from one point and stay there agree with each other perfectly: as many
     # independent draws as are claimed must at least differ.
-    different = len(np.unique(draws.reshape(-1, draws.shape[-1]), axis=0))
+    different = np.unique(draws[..., 0]).size
     converged = bool(
         long_enough
         and different >= ESS_LIMIT

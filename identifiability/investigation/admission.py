@@ -23,6 +23,7 @@ from identifiability.investigation.candidates import (
 )
 from identifiability.investigation.evidence import DISCREPANCY
 from identifiability.joint.effects import Effect
+from identifiability.joint.parameters import with_unit
 
 DECISIVE = 10.0
 """Difference of the information criterion that counts as decisive (Kass & Raftery 1995: more than
@@ -86,8 +87,8 @@ class Ranked:
         """Fitted values of the effect's own parameters, with units."""
         parameters = self.candidate.model.parameters
         return [
-            f"{name.split('.')[1].replace('_', ' ')} {value:.3g}"
-            + (f" {parameters[name].unit}" if parameters[name].unit != "1" else "")
+            f"{name.split('.')[1].replace('_', ' ')} "
+            + with_unit(f"{value:.3g}", parameters[name].unit)
             for name, value in self.candidate.values.items()
             if name.startswith(f"{self.key}.") and name in self.candidate.free
         ]

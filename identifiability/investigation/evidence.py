@@ -15,7 +15,7 @@ import numpy as np
 from identifiability.errors import InputError
 from identifiability.inference.problem import Observation, observe
 from identifiability.inference.recordings import integrated_autocorrelation
-from identifiability.measurement.filtering import Lowpass, cutoff, settled, stride
+from identifiability.measurement.filtering import Lowpass, cutoff, smooth
 from identifiability.measurement.noise import Noise
 from identifiability.measurement.perturbations import Drive, SampledTorque, imposed_motion
 from identifiability.measurement.trials import Trial, onsets, quiet_lead
@@ -298,16 +298,12 @@ def _ready(trials: Sequence[Trial], lowpass_hz: Lowpass) -> list[Ready]:
 
 
 def _angle_driven(trial: Trial, cutoff_hz: float | None) -> Ready:
-    ready = trial.centred("mean")
-    first, last, every = 0, trial.n_samples, 1
-    if cutoff_hz is not None:
-        ready = ready.lowpass(cutoff_hz)
-        first, last = settled(trial, cutoff_hz)
-        if (every := stride(trial, cutoff_hz)) > 1:
-            ready = ready.decimate(every)
+    smoothed = smooth(trial, cutoff_hz)
+    ready = smoothed.trial
+    if smoothed.every > 1:
+        ready = ready.decimate(smoothed.every)
     drive = imposed_motion(ready.time, ready.angle)
-    first, last = -(-first // every), -(-last // every)
-    return Ready(ready, first, last, drive, ready.torque, NO_LEAD, True)
+    return Ready(ready, *smoothed.settled_of_kept, drive, ready.torque, NO_LEAD, True)
 
 
 def _resolution(values: np.ndarray) -> float:

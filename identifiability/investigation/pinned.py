@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from identifiability.inference.widths import Width, Widths
+from identifiability.joint.parameters import with_unit
 
 LOOSE = 0.5
 """Half the 95 % interval over the value from which a parameter counts as not pinned down: a
@@ -38,9 +39,9 @@ def not_pinned_down(found: Widths) -> tuple[str, ...]:
     for row in found.rows:
         low, high, _ = interval(row)
         name = row.name.replace("_", " ")
-        unit = "" if row.unit == "1" else f" {row.unit}"
+        upper = with_unit(f"{high:.3g}", row.unit)
         if row.profile_sides == ("bound", "closed") and abs(row.optimum) < _NOTHING * high:
-            out.append(f"{name} is small, or nothing at all: at most {high:.3g}{unit} (95 %).")
+            out.append(f"{name} is small, or nothing at all: at most {upper} (95 %).")
             continue
         sides = [
             words
@@ -50,7 +51,5 @@ def not_pinned_down(found: Widths) -> tuple[str, ...]:
         if sides:
             out.append(f"The data do not bound {name} {' or '.join(sides)}.")
         elif np.isfinite(high - low) and 0.5 * (high - low) > LOOSE * abs(row.optimum):
-            out.append(
-                f"{name} is hardly known: anywhere from {low:.3g} to {high:.3g}{unit} (95 %)."
-            )
+            out.append(f"{name} is hardly known: anywhere from {low:.3g} to {upper} (95 %).")
     return tuple(out)

@@ -23,7 +23,6 @@ from identifiability.investigation.power import Detectable
 from identifiability.investigation.search import Search
 from identifiability.investigation.unexplained import Unexplained
 from identifiability.joint.effects.base import Effect
-from identifiability.joint.model import KBI
 
 EXPLAINED_SHARE = 0.8
 """Share of the held-out misfit beyond the noise that named effects must remove to be called the
@@ -389,8 +388,8 @@ def _clue(search: Search) -> list[str]:
 def _at_bound(final: Candidate) -> list[str]:
     """Which of K, B and I lies at a bound; that it may be none at all is no bound."""
     out = []
-    for parameter in (KBI().parameters[name] for name in ("K", "B", "I")):
-        name, value = parameter.name, final.values.get(parameter.name, 0.0)
+    for name in ("K", "B", "I"):
+        parameter, value = final.model.parameters[name], final.values[name]
         if name in final.at_bound and value > _NONE * parameter.nominal:
             out.append(
                 f"{name} lies at the edge of the values that it was allowed, {value:.3g} "

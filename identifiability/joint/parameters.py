@@ -5,6 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 
+def with_unit(number: str, unit: str) -> str:
+    """Return a number with its unit, where it has one: "1" is none."""
+    return number if unit == "1" else f"{number} {unit}"
+
+
 @dataclass(frozen=True)
 class Parameter:
     """One parameter of a joint model.

@@ -9,6 +9,7 @@ trades with it.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -37,9 +38,12 @@ _AT_REST = 0.1  # share of the fastest motion that is none
 def cutoff(trials: Sequence[Trial], lowpass_hz: Lowpass) -> float | None:
     """Return the cut-off frequency [Hz] that a setting stands for, one for all trials.
 
+    Where the torque was imposed the angle is simulated, and nothing is filtered.
+
     Parameters
     ----------
     trials : sequence of Trial
+        All driven alike.
     lowpass_hz : float, "auto" or None
 
     Raises
@@ -47,7 +51,7 @@ def cutoff(trials: Sequence[Trial], lowpass_hz: Lowpass) -> float | None:
     InputError
         If the frequency is not below half the sampling rate.
     """
-    if lowpass_hz is None:
+    if lowpass_hz is None or trials[0].driven == "torque":
         return None
     if lowpass_hz == "auto":
         return noise_cutoff(trials)
@@ -97,6 +101,46 @@ def noise_cutoff(trials: Sequence[Trial]) -> float:
 def _spectrum(trial: Trial) -> tuple[np.ndarray, np.ndarray]:
     length = min(trial.n_samples, round(_SEGMENT_S * trial.sampling_rate))
     return signal.welch(trial.angle, trial.sampling_rate, nperseg=length, detrend="linear")
+
+
+@dataclass(frozen=True, eq=False)
+class Smooth:
+    """A trial about its mean, low-pass filtered or not.
+
+    Attributes
+    ----------
+    trial : Trial
+        At all its samples.
+    every : int
+        Every so-many-th sample is worth comparing; those between tell nothing new.
+    settled : (int, int)
+        First and last sample (excluded) that the ends of the filter do not touch.
+    """
+
+    trial: Trial
+    every: int
+    settled: tuple[int, int]
+
+    @property
+    def settled_of_kept(self) -> tuple[int, int]:
+        """The same, counted in every so-many-th sample."""
+        first, last = self.settled
+        return -(-first // self.every), -(-last // self.every)
+
+
+def smooth(trial: Trial, cutoff_hz: float | None) -> Smooth:
+    """Take off a trial's operating point and filter both channels.
+
+    Parameters
+    ----------
+    trial : Trial
+    cutoff_hz : float or None
+        Cut-off frequency [Hz]; ``None`` for no filter.
+    """
+    ready = trial.centred("mean")
+    if cutoff_hz is None:
+        return Smooth(ready, 1, (0, ready.n_samples))
+    return Smooth(ready.lowpass(cutoff_hz), stride(trial, cutoff_hz), settled(trial, cutoff_hz))
 
 
 def stride(trial: Trial, cutoff_hz: float) -> int:

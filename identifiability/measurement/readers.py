@@ -14,6 +14,7 @@ from scipy import interpolate
 
 from identifiability.errors import InputError
 from identifiability.measurement.columns import Columns, checked, located
+from identifiability.measurement.filtering import HIGHEST_HZ
 from identifiability.measurement.matlab_files import mat_table, mat_variables
 from identifiability.measurement.tables import Table
 from identifiability.measurement.text_files import text_table
@@ -230,7 +231,7 @@ def _warn_of_sign(trial: Trial, restoring: bool) -> None:
         angle=trial.angle / np.abs(trial.angle).max(),
     )
     if 200.0 < smooth.sampling_rate < 1e6:
-        smooth = smooth.lowpass(50.0)
+        smooth = smooth.lowpass(HIGHEST_HZ)
     velocity = np.gradient(smooth.angle, smooth.dt)
     design = np.stack([smooth.angle, velocity, np.gradient(velocity, smooth.dt)], axis=1)
     design, torque = design - design.mean(axis=0), smooth.torque - smooth.torque.mean()

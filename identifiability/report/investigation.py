@@ -13,7 +13,7 @@ from identifiability.investigation.admission import DECISIVE, Ranked
 from identifiability.investigation.investigate import Findings
 from identifiability.investigation.pinned import interval, not_pinned_down
 from identifiability.investigation.search import Step
-from identifiability.joint.parameters import Parameter
+from identifiability.joint.parameters import with_unit
 from identifiability.plots.investigation import (
     error_text,
     ladder_figure,
@@ -187,7 +187,7 @@ def write_report(findings: Findings, record: dict[str, Any], out: Path) -> list[
         found = findings.widths
         loose = not_pinned_down(found)
         page.items(list(loose) or ["All parameters are known to better than half their value."])
-        _widths_table(page, found, search.final.model.parameters)
+        _widths_table(page, found)
         show("widths", lambda: widths_figure(found), "Widths over values of all parameters.")
 
     page.heading("Next experiment")
@@ -298,11 +298,11 @@ def _values_table(page: Page, values: Any, parameters: Any) -> None:
     )
 
 
-def _widths_table(page: Page, found: Any, parameters: Any) -> None:
+def _widths_table(page: Page, found: Any) -> None:
     rows = [
         [
             row.name.replace("_", " ").replace(".", ": "),
-            f"{row.optimum:.4g} {_unit(parameters[row.name])}",
+            with_unit(f"{row.optimum:.4g}", row.unit),
             _number(row.slice),
             _number(row.quadratic),
             _number(row.profile),
@@ -326,10 +326,6 @@ def _widths_table(page: Page, found: Any, parameters: Any) -> None:
         rows,
         text_columns=(1, 6, 7),
     )
-
-
-def _unit(parameter: Parameter) -> str:
-    return "" if parameter.unit == "1" else parameter.unit
 
 
 def _number(value: float | None) -> str:
