@@ -9,15 +9,15 @@ from .inference.quadrature import Moments, quadrature
 from .inference.recordings import RecordingFit, fit_recordings
 from .inference.sampling import Posterior, sample
 from .inference.widths import Width, Widths, widths
-from .investigation.compare import Comparison
-from .investigation.evidence import Evidence
 from .investigation.investigate import Findings, Investigation, investigate
-from .investigation.locate import Location
 from .investigation.next_experiment import Limits, NextExperiment
 from .investigation.record import investigation_record
-from .investigation.search import Search
-from .investigation.unexplained import Unexplained
-from .investigation.verdict import Verdict
+from .investigation.search.search import Search
+from .investigation.split import Split
+from .investigation.unexplained.account import Unexplained
+from .investigation.verdict.judge import Verdict
+from .investigation.where.compare import Comparison
+from .investigation.where.locate import Location
 from .joint.effects import (
     EFFECTS,
     ActivationLag,
@@ -134,7 +134,7 @@ __all__ = [  # noqa: RUF022 -- in the order of use
     "investigate",
     "Investigation",
     "Findings",
-    "Evidence",
+    "Split",
     "Comparison",
     "Location",
     "Search",

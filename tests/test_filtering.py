@@ -10,7 +10,7 @@ from identifiability.errors import InputError
 from identifiability.inference.fitting import fit
 from identifiability.inference.problem import Prior
 from identifiability.inference.recordings import prepare, recording_problem, whole
-from identifiability.investigation.evidence import gather
+from identifiability.investigation.split import gather
 from identifiability.joint.model import KBI
 from identifiability.joint.response import simulate
 from identifiability.measurement.filtering import (

@@ -10,19 +10,14 @@ from identifiability.benchmark.cases import hidden_cases
 from identifiability.benchmark.score import matched, outcome_of, wilson
 from identifiability.cli.main import main
 from identifiability.errors import InputError
-from identifiability.investigation.admission import DECISIVE, Gate, Ranked, only_held_out_objects
-from identifiability.investigation.candidates import (
-    NOTHING,
-    Candidate,
-    Residual,
-    Workbench,
-    owners,
-    starting_values,
-)
-from identifiability.investigation.equivalence import equivalence_set
-from identifiability.investigation.evidence import Evidence, gather
+from identifiability.investigation.fits.bench import Workbench, owners
+from identifiability.investigation.fits.candidate import NOTHING, Candidate, Residual
+from identifiability.investigation.fits.starts import starting_values
 from identifiability.investigation.investigate import Investigation
-from identifiability.investigation.search import Search, Searcher
+from identifiability.investigation.search.equivalence import equivalence_set
+from identifiability.investigation.search.gate import DECISIVE, Gate, Ranked, only_held_out_objects
+from identifiability.investigation.search.search import Search, Searcher
+from identifiability.investigation.split import Split, gather
 from identifiability.joint.effects import (
     EFFECTS,
     LooseCoupling,
@@ -88,7 +83,7 @@ def _positive(angle):
     return jnp.maximum(angle, 0.0)
 
 
-# Evidence
+# Split
 
 
 def test_held_out_trials_are_chosen_by_amplitude():
@@ -112,9 +107,9 @@ def test_one_record_is_split_in_halves():
     double = Trial(
         t, np.tile(first.torque, 2), np.tile(first.angle, 2), name="long", condition="pulse"
     )
-    evidence = gather([double])
-    assert evidence.how_held_out == "the second half of the record"
-    assert evidence.fitted[0].last == evidence.held_out[0].first == 500
+    split = gather([double])
+    assert split.how_held_out == "the second half of the record"
+    assert split.fitted[0].last == split.held_out[0].first == 500
 
 
 @pytest.mark.parametrize(("share", "fitted"), [(0.4, "first"), (0.6, "second")])
@@ -124,10 +119,10 @@ def test_the_half_is_fitted_that_reaches_most_of_the_other(share, fitted):
     angle = 0.1 * np.sin(2 * np.pi * 2 * t)
     angle[1000 : 1000 + round(1000 * share)] += 1.0
     record = Trial(t, np.cos(2 * np.pi * 2 * t), angle, name="long")
-    evidence = gather([record])
-    assert (evidence.fitted[0].first == 0) == (fitted == "first")
-    assert (evidence.held_out[0].last == 1000) == (fitted == "second")
-    assert ("beyond its angles" in evidence.how_held_out) == (fitted == "second")
+    split = gather([record])
+    assert (split.fitted[0].first == 0) == (fitted == "first")
+    assert (split.held_out[0].last == 1000) == (fitted == "second")
+    assert ("beyond its angles" in split.how_held_out) == (fitted == "second")
 
 
 def test_a_trial_that_moves_in_one_half_only_is_refused():
@@ -148,13 +143,13 @@ def test_pieces_of_a_long_record_leave_what_the_whole_leaves(monkeypatch):
     record = Trial(t, u, angle, name="long")
     values = joint | {"K": 33.0}
     whole = Workbench(gather([record])).residual(model, values, gather([record]).fitted)
-    monkeypatch.setattr("identifiability.investigation.evidence._LONGEST", 800)
-    evidence = gather([record])
-    bench = Workbench(evidence)
-    problem = bench.problem(model, evidence.fitted)
+    monkeypatch.setattr("identifiability.investigation.split._LONGEST", 800)
+    split = gather([record])
+    bench = Workbench(split)
+    problem = bench.problem(model, split.fitted)
     assert len(problem.observations) > 2
     assert set(owners(problem.observations)) == {0}
-    cut = bench.residual(model, values, evidence.fitted)
+    cut = bench.residual(model, values, split.fitted)
     # A second before each piece is enough for the joint to forget how it was started.
     np.testing.assert_allclose(cut.by_trial[0], whole.by_trial[0], atol=2e-4 * np.ptp(angle))
 
@@ -174,7 +169,7 @@ def record_that_grows(model, values, seed=1, noise=1e-3):
 def test_motion_before_the_onset_is_not_taken_for_noise(noise):
     growing = record_that_grows(KBI(), JOINT, noise=noise)
     assert gather([growing]).has_noise  # the control: by size alone its beginning seems at rest
-    assert not Investigation([growing]).evidence.has_noise
+    assert not Investigation([growing]).split.has_noise
 
 
 def test_noise_of_both_sensors_at_rest_is_taken_for_noise():
@@ -184,8 +179,8 @@ def test_noise_of_both_sensors_at_rest_is_taken_for_noise():
         for t in trials(KBI(), JOINT)
     ]
     study = Investigation(still)
-    assert study.evidence.moves_early
-    assert study.evidence.has_noise
+    assert study.split.moves_early
+    assert study.split.has_noise
 
 
 # Candidates
@@ -257,15 +252,15 @@ def test_the_missing_effect_is_found_and_the_error_falls_to_the_floor():
 def test_the_plainest_is_taken_only_where_all_may_be_error_of_measurement(
     known, plain_error, chosen
 ):
-    evidence = gather(trials(KBI(), JOINT))
-    searcher = Searcher(Workbench(evidence if known else evidence.without_leads()))
+    split = gather(trials(KBI(), JOINT))
+    searcher = Searcher(Workbench(split if known else split.without_leads()))
 
     def admitted(key, error, n_free):
         residual = Residual((), np.array([error]), 1.0)
         found = Candidate(KBI(), {}, ("p",) * n_free, residual, residual)
         return Ranked(key, found, 100.0, 1.0, True, "")
 
-    assert searcher.bench.evidence.has_noise is known
+    assert searcher.bench.split.has_noise is known
     best_first = [admitted("rich", 4e-4, 5), admitted("plain", plain_error, 4)]
     assert searcher._choose(best_first) == chosen
     assert searcher._choose([]) == ""
@@ -380,7 +375,7 @@ def test_what_the_library_does_not_know_is_not_named():
         library={"sensor_delay": EFFECTS["sensor_delay"]},
     )
     found = study.search(study.fit(KBI()))
-    assert found.final.held_out.error > 3 * study.evidence.noise_floor(study.evidence.held_out)
+    assert found.final.held_out.error > 3 * study.split.noise_floor(study.split.held_out)
 
 
 def test_a_segment_shorter_than_any_is_not_gravity():
@@ -419,8 +414,8 @@ def test_a_further_effect_that_removes_little_may_only_mend_the_others(
     current, floor, mends, monkeypatch
 ):
     # The floor is known within 5 %: half as much again is clearly above it, a tenth is not.
-    monkeypatch.setattr(Evidence, "noise_floor", lambda self, part=None: floor)
-    monkeypatch.setattr(Evidence, "floor_uncertainty", lambda self: 0.05)
+    monkeypatch.setattr(Split, "noise_floor", lambda self, part=None: floor)
+    monkeypatch.setattr(Split, "floor_uncertainty", lambda self: 0.05)
 
     def candidate(error, *keys):
         model = KBI()

@@ -7,13 +7,15 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from scipy import stats
 
-from identifiability.investigation.candidates import NOTHING, Workbench, starting_values
-from identifiability.investigation.compare import compare
-from identifiability.investigation.evidence import gather
-from identifiability.investigation.imposed import imposed, starts
-from identifiability.investigation.locate import locate
-from identifiability.investigation.refits import Refits, correlation_time, without_levels
-from identifiability.investigation.whitening import Portion, excess, whitening
+from identifiability.investigation.fits.bench import Workbench
+from identifiability.investigation.fits.candidate import NOTHING
+from identifiability.investigation.fits.refits import Refits, correlation_time, without_levels
+from identifiability.investigation.fits.starts import starting_values
+from identifiability.investigation.split import gather
+from identifiability.investigation.where.compare import compare
+from identifiability.investigation.where.imposed import imposed, starts
+from identifiability.investigation.where.locate import locate
+from identifiability.investigation.where.whitening import Portion, excess, whitening
 from identifiability.joint.effects.coulomb_friction import CoulombFriction
 from identifiability.joint.effects.cubic_stiffness import CubicStiffness
 from identifiability.joint.effects.quadratic_stiffness import QuadraticStiffness
@@ -154,12 +156,12 @@ def test_coloured_noise_is_whitened(level):
     trials = [
         t for seed in range(4) for t in recorded(KBI(), seed=seed, correlation=0.01, level=level)
     ]
-    evidence = gather(trials)
-    noise = whitening(evidence.fitted, NOTHING)
+    split = gather(trials)
+    noise = whitening(split.fitted, NOTHING)
     assert noise.known
     truth = np.exp(-0.1)
     assert noise.coefficients.sum() == pytest.approx(truth, abs=4 * np.sqrt((1 - truth**2) / 800))
-    ready = evidence.fitted[0]
+    ready = split.fitted[0]
     white = noise.white(0, ready.response[:LEAD, None])
     assert np.std(white[noise.coefficients.size :]) == pytest.approx(1.0, abs=0.1)
     # What is known from few samples only is said to be uncertain, most so at low frequencies.
@@ -192,8 +194,8 @@ def test_levels_are_taken_out_as_far_as_they_are_unknown():
 
 
 def test_scaled_copies_are_of_one_kind():
-    evidence = gather(recorded(KBI()), [])
-    trials = sorted((*evidence.fitted, *evidence.held_out), key=lambda ready: ready.name)
+    split = gather(recorded(KBI()), [])
+    trials = sorted((*split.fitted, *split.held_out), key=lambda ready: ready.name)
     found = imposed(trials)
     assert [f.kind for f in found] == [0, 0, 0, 0, 1, 1]
     assert [f.gain for f in found] == pytest.approx([1, -1, 0.5, -0.5, 1, -1])
@@ -296,7 +298,7 @@ def test_with_the_tendon_in_the_model_nothing_changes_any_more():
     bench, plain = fitted(recorded(*TENDON))
     model = TENDON[0]
     candidate = bench.fit(model, starting_values(model, plain.values))
-    assert candidate.fitted.error == pytest.approx(bench.evidence.noise_floor(), rel=0.2)
+    assert candidate.fitted.error == pytest.approx(bench.split.noise_floor(), rel=0.2)
     assert not compare(bench, candidate).by("window").significant
     location = locate(bench, candidate)
     assert not location.time.significant
@@ -312,7 +314,7 @@ def test_the_table_of_trials_agrees_with_the_fit():
     comparison = compare(bench, candidate)
     assert comparison.error == pytest.approx(np.mean([row.error for row in comparison.trials]))
     for row, ready, left in zip(
-        comparison.trials, bench.evidence.fitted, candidate.fitted.by_trial, strict=True
+        comparison.trials, bench.split.fitted, candidate.fitted.by_trial, strict=True
     ):
         assert row.name == ready.name
         assert row.error == pytest.approx(np.sum(left**2) / np.sum(ready.response**2))
@@ -327,7 +329,7 @@ def test_the_table_of_trials_agrees_with_the_fit():
 def test_a_refit_to_everything_is_the_fit_itself():
     bench, candidate = fitted(recorded(*CUBIC))
     refits = Refits(bench, candidate)
-    sds = bench.evidence.weights_sd(bench.evidence.fitted)
+    sds = bench.split.weights_sd(bench.split.fitted)
     found = refits.fit(lambda i, columns: columns / sds[i], refits.values * [1.3, 0.7, 1.1])
     assert found.values == pytest.approx(refits.values, rel=1e-3)
     assert found.cost == pytest.approx(candidate.fitted.weighted, rel=1e-6)
@@ -410,7 +412,7 @@ def test_perturbations_of_a_long_record_have_levels_of_their_own():
     assert not location.noise_known
     assert "angle" in location.frequency.sentence
     where_figure(location)
-    responses_figure(bench.evidence, candidate)
+    responses_figure(bench.split, candidate)
 
 
 # Figures
@@ -437,12 +439,12 @@ def test_figures_have_a_panel_for_everything_and_labels_with_units():
 def test_the_overlay_shows_at_most_eight_trials():
     trials = [t for seed in (1, 2) for t in recorded(*TENDON, seed=seed)]
     bench, before = fitted(trials)
-    figure = responses_figure(bench.evidence, before, before)
+    figure = responses_figure(bench.split, before, before)
     visible = [panel for panel in figure.axes if panel.get_visible()]
     assert len(visible) == 2 * 8
     assert "4 more trials" in figure.get_supxlabel()
     measured, first, _ = visible[0].lines
-    ready = bench.evidence.fitted[0]
+    ready = bench.split.fitted[0]
     left = np.asarray(measured.get_ydata()) - np.asarray(first.get_ydata())
     assert left == pytest.approx(before.fitted.by_trial[0])
     assert ready.response == pytest.approx(np.asarray(measured.get_ydata()))

@@ -8,12 +8,12 @@ from test_investigation import HELD, JOINT, trials
 
 from identifiability.errors import InputError
 from identifiability.inference import fitting
-from identifiability.investigation import candidates
-from identifiability.investigation.candidates import Workbench
-from identifiability.investigation.evidence import gather
+from identifiability.investigation.fits import bench as workbench
+from identifiability.investigation.fits.bench import Workbench
+from identifiability.investigation.fits.kept import KeepingWorkbench
 from identifiability.investigation.investigate import investigate
-from identifiability.investigation.kept import KeepingWorkbench
 from identifiability.investigation.record import investigation_record
+from identifiability.investigation.split import gather
 from identifiability.joint.effects import EFFECTS, SeriesTendon
 from identifiability.joint.model import KBI
 
@@ -22,7 +22,7 @@ VALUES = JOINT | {"series_tendon.stiffness": 60.0}
 
 
 @pytest.fixture(scope="module")
-def evidence():
+def split():
     return gather(trials(MODEL, VALUES), trials(MODEL, VALUES, seed=9, conditions=HELD))
 
 
@@ -35,7 +35,7 @@ def fits(monkeypatch):
         done.append(problem.model.effect_keys)
         return fitting.explore(problem, *args, **options)
 
-    monkeypatch.setattr(candidates, "explore", counted)
+    monkeypatch.setattr(workbench, "explore", counted)
     return done
 
 
@@ -52,19 +52,19 @@ def assert_same(one, two):
 
 
 @pytest.mark.parametrize("held", [True, False])
-def test_a_kept_fit_is_read_as_it_was(tmp_path, evidence, fits, held):
-    evidence = evidence if held else replace(evidence, held_out=())
-    plain = Workbench(evidence).fit(MODEL, [VALUES])
-    first = KeepingWorkbench(evidence, folder=tmp_path).fit(MODEL, [VALUES])
+def test_a_kept_fit_is_read_as_it_was(tmp_path, split, fits, held):
+    split = split if held else replace(split, held_out=())
+    plain = Workbench(split).fit(MODEL, [VALUES])
+    first = KeepingWorkbench(split, folder=tmp_path).fit(MODEL, [VALUES])
     assert len(fits) == 2
-    again = KeepingWorkbench(evidence, folder=tmp_path).fit(MODEL, [VALUES])
+    again = KeepingWorkbench(split, folder=tmp_path).fit(MODEL, [VALUES])
     assert len(fits) == 2
     assert_same(plain, first)
     assert_same(plain, again)
 
 
-def test_another_question_is_another_fit(tmp_path, evidence, fits):
-    def ask(trials_=evidence, bounds=None, model=MODEL, start=VALUES, **options):
+def test_another_question_is_another_fit(tmp_path, split, fits):
+    def ask(trials_=split, bounds=None, model=MODEL, start=VALUES, **options):
         bench = KeepingWorkbench(trials_, bounds or {}, folder=tmp_path)
         return bench.fit(model, [start], **options)
 
@@ -73,13 +73,13 @@ def test_another_question_is_another_fit(tmp_path, evidence, fits):
     ask(start=VALUES | {"K": 31.0})
     ask(thorough=False)
     ask(model=KBI(), start=JOINT)
-    ask(trials_=replace(evidence, held_out=evidence.held_out[:1]))
-    ask(trials_=evidence.without_leads())
+    ask(trials_=replace(split, held_out=split.held_out[:1]))
+    ask(trials_=split.without_leads())
     assert len(fits) == len(list(tmp_path.iterdir())) == 7
 
 
-def test_a_damaged_file_is_written_anew(tmp_path, evidence, fits):
-    bench = KeepingWorkbench(evidence, folder=tmp_path)
+def test_a_damaged_file_is_written_anew(tmp_path, split, fits):
+    bench = KeepingWorkbench(split, folder=tmp_path)
     first = bench.fit(KBI(), [JOINT])
     (file,) = tmp_path.iterdir()
     file.write_bytes(file.read_bytes()[:100])
@@ -89,13 +89,13 @@ def test_a_damaged_file_is_written_anew(tmp_path, evidence, fits):
     assert len(fits) == 2
 
 
-def test_a_fit_that_failed_is_tried_again(tmp_path, evidence, monkeypatch):
+def test_a_fit_that_failed_is_tried_again(tmp_path, split, monkeypatch):
     def fails(*args, **options):
         raise InputError("no luck")
 
-    bench = KeepingWorkbench(evidence, folder=tmp_path)
+    bench = KeepingWorkbench(split, folder=tmp_path)
     with monkeypatch.context() as patched:
-        patched.setattr(candidates, "explore", fails)
+        patched.setattr(workbench, "explore", fails)
         assert bench.fit(KBI(), [JOINT]).failure == "no luck"
     assert not list(tmp_path.iterdir())
     assert not bench.fit(KBI(), [JOINT]).failure

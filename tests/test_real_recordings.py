@@ -2,8 +2,8 @@
 
 import pytest
 
-from identifiability.investigation.admission import does_as_well
 from identifiability.investigation.investigate import Investigation
+from identifiability.investigation.search.gate import does_as_well
 from identifiability.joint.effects import EFFECTS
 from identifiability.joint.model import KBI
 from identifiability.measurement.columns import parse_columns
@@ -24,7 +24,7 @@ def test_the_silverbox_has_a_cubic_spring_and_neither_a_quadratic_one_nor_fricti
         bounds={"I": (1e-8, 1), "K": (0, 1000), "B": (0, 10)},
     )
     # The torque grows from nothing: what precedes the first onset is motion, not noise.
-    assert not study.evidence.has_noise
+    assert not study.split.has_noise
     found = study.search(study.fit(KBI()))
     assert found.final.keys == ("cubic_stiffness",)
     assert not any(r.passes for r in found.steps[0].ranking if r.key != "cubic_stiffness")
@@ -44,7 +44,7 @@ def test_the_pendulum_has_gravity_then_friction_then_a_shift_of_the_channels(sha
     assert noise_cutoff([record]) == pytest.approx(12.5)
     study = Investigation([record])
     # A swing-up: the second half goes over the top, the first swings by half a radian.
-    assert "first half" in study.evidence.how_held_out
+    assert "first half" in study.split.how_held_out
     found = study.search(study.fit(KBI()))
     # Friction and a damping that saturates are nearly one curve; springs are not gravity.
     first, second, third = (key for key, _ in found.ladder)

@@ -10,13 +10,13 @@ import pytest
 from test_investigation import HELD, JOINT, trials
 
 from identifiability.files import plain
-from identifiability.investigation.admission import Ranked
 from identifiability.investigation.investigate import Investigation, investigate
 from identifiability.investigation.next_experiment import RESOLVED, Limits, next_experiment
-from identifiability.investigation.pinned import not_pinned_down
-from identifiability.investigation.power import detectable
 from identifiability.investigation.record import investigation_record
-from identifiability.investigation.search import Step
+from identifiability.investigation.search.gate import Ranked
+from identifiability.investigation.search.search import Ranking
+from identifiability.investigation.search.smallest_seen import detectable
+from identifiability.investigation.verdict.pinned import not_pinned_down
 from identifiability.joint.effects import EFFECTS
 from identifiability.joint.model import KBI
 from identifiability.plots.investigation import error_text, ranking_figure, widths_figure
@@ -155,7 +155,7 @@ def test_every_row_of_a_ranking_lies_within_its_axes(quiet_study):
             ("gravity", with_effect(failed, "gravity"), -np.inf),
         )
     )
-    axes = ranking_figure(Step(base, ranking, "")).axes[0]
+    axes = ranking_figure(Ranking(base, ranking, "")).axes[0]
     texts = [t for t in axes.texts if t.get_text()]
     assert [t.get_text() for t in texts][1:] == ["E held out diverges", "no fit"]
     low, high = sorted(axes.get_ylim())

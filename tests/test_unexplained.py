@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from identifiability.benchmark.cases import hidden_cases
-from identifiability.investigation.candidates import Workbench
-from identifiability.investigation.evidence import gather
-from identifiability.investigation.fitter import baseline
-from identifiability.investigation.unexplained import DECISIVE, unexplained
+from identifiability.investigation.fits.bench import Workbench
+from identifiability.investigation.search.fitter import baseline
+from identifiability.investigation.split import gather
+from identifiability.investigation.unexplained.account import DECISIVE, unexplained
 from identifiability.joint.effects import EFFECTS
 from identifiability.joint.model import KBI
 from identifiability.joint.response import simulate
@@ -84,7 +84,7 @@ def test_the_missing_torque_is_the_one_that_is_missing():
     found = baseline(bench, KBI(), JOINT)
     rest = unexplained(bench, found)
     assert rest.best.kind == "static"
-    angles = np.concatenate([r.compared for r in bench.evidence.fitted])
+    angles = np.concatenate([r.compared for r in bench.split.fitted])
     torque = np.concatenate([t.mean for t in rest.torque])
     strong = np.abs(angles) > 0.5 * np.abs(angles).max()
     shape = np.column_stack([angles, angles**3])[strong]

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from test_investigation import HELD, JOINT, trials
 
-from identifiability.investigation.admission import DISAGREE, ONLY_MENDS, TOO_LITTLE, Ranked
-from identifiability.investigation.candidates import Candidate, Residual
-from identifiability.investigation.evidence import gather
-from identifiability.investigation.library_free.explanation import Family
-from identifiability.investigation.power import Detectable
-from identifiability.investigation.search import Search, Step
-from identifiability.investigation.unexplained import Unexplained
-from identifiability.investigation.verdict import (
+from identifiability.investigation.fits.candidate import Candidate, Residual
+from identifiability.investigation.search.gate import DISAGREE, ONLY_MENDS, TOO_LITTLE, Ranked
+from identifiability.investigation.search.search import Ranking, Search
+from identifiability.investigation.search.smallest_seen import Detectable
+from identifiability.investigation.split import gather
+from identifiability.investigation.unexplained.account import Unexplained
+from identifiability.investigation.unexplained.explanation import Family
+from identifiability.investigation.verdict.judge import (
     EXPLAINED_SHARE,
     KINDS,
     LINEAR_SHARE,
@@ -28,7 +28,7 @@ SEEN = (Detectable("gravity", "moment", 2.0, "Nm", "2 Nm"),)
 
 
 @pytest.fixture(scope="module")
-def evidence():
+def split():
     return gather(trials(KBI(), JOINT), trials(KBI(), JOINT, seed=9, conditions=HELD))
 
 
@@ -52,7 +52,7 @@ def left_over(kind, share=0.9, noise_ratio=1.0):
 
 
 def verdict(
-    evidence,
+    split,
     keys,
     share,
     kind="static",
@@ -63,7 +63,7 @@ def verdict(
     noise_ratio=1.0,
 ):
     """Verdict where effects remove a share of the misfit; rivals do as well as the model."""
-    floor = evidence.noise_floor(evidence.held_out)
+    floor = split.noise_floor(split.held_out)
     after = BEFORE - share * (BEFORE - floor)
     base, final = candidate(BEFORE), candidate(after, *keys)
     alternatives = {
@@ -74,7 +74,7 @@ def verdict(
     }
     search = Search(
         baseline=base,
-        steps=(Step(final, tuple(refused), ""),),
+        steps=(Ranking(final, tuple(refused), ""),),
         final=final,
         ladder=tuple((key, final) for key in keys),
         alternatives=alternatives,
@@ -85,19 +85,19 @@ def verdict(
         ended="",
     )
     rest = left_over(kind, 0.0 if kind == "none" else 0.9, noise_ratio)
-    return judge(evidence, search, rest, SEEN, EFFECTS)
+    return judge(split, search, rest, SEEN, EFFECTS)
 
 
-def verdict_of(evidence, final, key, *rivals, exact=True):
+def verdict_of(split, final, key, *rivals, exact=True):
     """Verdict on one effect that explains all, and its rivals."""
     base = candidate(BEFORE)
     alone = {key: base}
     search = Search(base, (), final, ((key, final),), {key: rivals}, alone, (), exact, 2, "")
-    return judge(evidence, search, left_over("none", 0.0), SEEN, EFFECTS)
+    return judge(split, search, left_over("none", 0.0), SEEN, EFFECTS)
 
 
-def test_nothing_is_missing_where_only_noise_is_left(evidence):
-    found = verdict(evidence, (), 1.0, "none")
+def test_nothing_is_missing_where_only_noise_is_left(split):
+    found = verdict(split, (), 1.0, "none")
     assert found.kind == "nothing_missing"
     assert found.smallest_seen == SEEN
     assert "2 Nm" in " ".join(found.because)
@@ -114,16 +114,16 @@ def test_nothing_is_missing_where_only_noise_is_left(evidence):
         ("unrepeatable", "unrepeatable"),
     ],
 )
-def test_where_no_effect_is_admitted_the_kind_is_all_that_is_said(kind, expected, evidence):
-    found = verdict(evidence, (), 0.0, kind)
+def test_where_no_effect_is_admitted_the_kind_is_all_that_is_said(kind, expected, split):
+    found = verdict(split, (), 0.0, kind)
     assert found.kind == expected
     assert found.kind in KINDS
     known = {"drift": (("sensor_drift",),), "sensor": (("sensor_delay", "sensor_lowpass"),)}
     assert found.equivalence_sets == known.get(kind, ())
 
 
-def test_a_filter_that_leaves_more_than_noise_stands_for_something_else(evidence):
-    assert verdict(evidence, (), 0.0, "sensor", noise_ratio=3.0).kind != "measurement"
+def test_a_filter_that_leaves_more_than_noise_stands_for_something_else(split):
+    assert verdict(split, (), 0.0, "sensor", noise_ratio=3.0).kind != "measurement"
 
 
 @pytest.mark.parametrize(
@@ -140,26 +140,26 @@ def test_a_filter_that_leaves_more_than_noise_stands_for_something_else(evidence
         (("sensor_drift",), EXPLAINED_SHARE + 0.01, "measurement", True),
     ],
 )
-def test_an_effect_explains_if_it_removes_enough(keys, share, expected, named, evidence):
-    found = verdict(evidence, keys, share)
+def test_an_effect_explains_if_it_removes_enough(keys, share, expected, named, split):
+    found = verdict(split, keys, share)
     assert (found.kind, bool(found.effects)) == (expected, named)
     assert found.share == pytest.approx(share, abs=1e-3)
 
 
-def test_effects_that_do_as_well_are_named_together(evidence):
+def test_effects_that_do_as_well_are_named_together(split):
     found = verdict(
-        evidence, ("cubic_stiffness",), 1.0, "none", rivals={"cubic_stiffness": ("gravity",)}
+        split, ("cubic_stiffness",), 1.0, "none", rivals={"cubic_stiffness": ("gravity",)}
     )
     assert (found.kind, found.equivalence_sets) == ("one_of", (("cubic_stiffness", "gravity"),))
     # Of one form are a tendon and a relaxing branch: that is one explanation.
-    found = verdict(evidence, ("maxwell_branch",), 1.0, "none")
+    found = verdict(split, ("maxwell_branch",), 1.0, "none")
     assert found.kind == "explained"
     assert found.equivalence_sets == (("series_tendon", "maxwell_branch"),)
 
 
-def test_joint_and_instruments_that_do_as_well_are_said_to_be_one_of_both(evidence):
+def test_joint_and_instruments_that_do_as_well_are_said_to_be_one_of_both(split):
     found = verdict(
-        evidence, ("sensor_delay",), 1.0, "none", rivals={"sensor_delay": ("second_mass",)}
+        split, ("sensor_delay",), 1.0, "none", rivals={"sensor_delay": ("second_mass",)}
     )
     assert found.kind == "one_of"
     assert "instruments" in found.sentence
@@ -178,19 +178,17 @@ def test_joint_and_instruments_that_do_as_well_are_said_to_be_one_of_both(eviden
         ("no decisive evidence", "", ""),
     ],
 )
-def test_what_was_refused_for_its_values_or_its_size_is_said(
-    keys, reason, objection, said, evidence
-):
+def test_what_was_refused_for_its_values_or_its_size_is_said(keys, reason, objection, said, split):
     gain = 0.0 if reason == DISAGREE else 1.0
     rank = Ranked("stretch_reflex", candidate(0.01), 50.0, gain, False, reason, objection)
-    because = " ".join(verdict(evidence, keys, 0.9, refused=[rank]).because)
+    because = " ".join(verdict(split, keys, 0.9, refused=[rank]).because)
     assert ("With stretch reflex too, E would fall to 0.01" in because) == bool(said)
     assert said in because
 
 
-def test_an_effect_that_the_held_out_trials_refute_is_no_clue(evidence):
+def test_an_effect_that_the_held_out_trials_refute_is_no_clue(split):
     rank = Ranked("stretch_reflex", candidate(0.01), 50.0, -0.5, False, DISAGREE)
-    assert "stretch reflex" not in " ".join(verdict(evidence, (), 0.9, refused=[rank]).because)
+    assert "stretch reflex" not in " ".join(verdict(split, (), 0.9, refused=[rank]).because)
 
 
 @pytest.mark.parametrize(
@@ -203,10 +201,10 @@ def test_an_effect_that_the_held_out_trials_refute_is_no_clue(evidence):
         ({"I": 0.005}, (), ""),
     ],
 )
-def test_a_joint_at_the_edge_of_what_was_allowed_is_said(values, at_bound, said, evidence):
+def test_a_joint_at_the_edge_of_what_was_allowed_is_said(values, at_bound, said, split):
     final = candidate(0.001, "gravity")
     final = replace(final, values=final.values | values, at_bound=at_bound)
-    because = " ".join(verdict_of(evidence, final, "gravity").because)
+    because = " ".join(verdict_of(split, final, "gravity").because)
     assert ("--bounds" in because) == bool(said)
     assert said in because
 
@@ -215,13 +213,13 @@ def test_a_joint_at_the_edge_of_what_was_allowed_is_said(values, at_bound, said,
     ("against", "stands", "does"),
     [(20.0, True, "better than"), (-9.0, True, "as well as"), (-11.0, False, "")],
 )
-def test_effects_that_a_description_stands_for_are_not_named(against, stands, does, evidence):
+def test_effects_that_a_description_stands_for_are_not_named(against, stands, does, split):
     left = candidate(0.001).fitted
     model = KBI() + EFFECTS["coulomb_friction"]() + RelaxationSpectrum()
     rival = Candidate(model, {}, model.parameter_names, left, left)
     described = [Ranked("relaxation_spectrum", rival, against, 0.0, stands, "")]
     keys = ("maxwell_branch", "stretch_reflex", "coulomb_friction")
-    found = verdict(evidence, keys, 1.0, "none", described=described)
+    found = verdict(split, keys, 1.0, "none", described=described)
     assert found.kind == ("unknown_memory" if stands else "explained")
     if stands:
         assert not found.effects
@@ -229,56 +227,54 @@ def test_effects_that_a_description_stands_for_are_not_named(against, stands, do
         assert "misses coulomb friction" in found.sentence
 
 
-def test_a_reflex_at_the_shortest_delay_is_said_to_be_in_doubt(evidence):
+def test_a_reflex_at_the_shortest_delay_is_said_to_be_in_doubt(split):
     final = candidate(1e-6, "stretch_reflex")
     rank = Ranked("gravity", candidate(1e-6, "gravity"), -99.0, 0.0, False, "")
     for delay, doubted in ((0.02, True), (0.06, False)):
         final.values["stretch_reflex.delay"] = delay
-        because = verdict_of(evidence, final, "stretch_reflex", rank).because
+        because = verdict_of(split, final, "stretch_reflex", rank).because
         assert any("may stand for something quicker" in s for s in because) is doubted
 
 
-def test_a_rival_in_doubt_is_no_equal_and_the_doubt_is_said(evidence):
+def test_a_rival_in_doubt_is_no_equal_and_the_doubt_is_said(split):
     final = candidate(1e-6, "gravity")
     for doubt in ("", "it is too quick"):
         rank = Ranked(
             "stretch_reflex", candidate(1e-6, "stretch_reflex"), 0.0, 0.0, False, "", doubt=doubt
         )
-        found = verdict_of(evidence, final, "gravity", rank)
+        found = verdict_of(split, final, "gravity", rank)
         assert ("stretch_reflex" in found.equivalence_sets[0]) is not bool(doubt)
         said = "With stretch reflex in the place of gravity, it is too quick."
         assert (said in found.because) is bool(doubt)
 
 
 @pytest.mark.parametrize(("refitted", "said"), [(-3.0, True), (-30.0, False)])
-def test_of_a_rival_that_only_comes_near_it_is_not_said_that_it_does_as_well(
-    evidence, refitted, said
-):
+def test_of_a_rival_that_only_comes_near_it_is_not_said_that_it_does_as_well(split, refitted, said):
     final = candidate(1e-6, "gravity")
     rank = Ranked(
         *("cubic_stiffness", candidate(1e-6, "cubic_stiffness"), -40.0, -1.0, False, ""),
         refitted=refitted,
     )
     # The final model leaves more than noise: what comes as near is in the set either way.
-    found = verdict_of(evidence, final, "gravity", rank, exact=False)
+    found = verdict_of(split, final, "gravity", rank, exact=False)
     assert "cubic_stiffness" in found.equivalence_sets[0]
     assert any("are predicted worse, but fitted as well" in s for s in found.because) is said
 
 
 @pytest.mark.parametrize(("refitted", "member"), [(None, False), (-3.0, True), (-30.0, False)])
-def test_a_rival_that_does_as_well_fitted_to_all_trials_is_named(evidence, refitted, member):
+def test_a_rival_that_does_as_well_fitted_to_all_trials_is_named(split, refitted, member):
     final = candidate(1e-6, "gravity")
     rank = Ranked(
         *("cubic_stiffness", candidate(1e-6, "cubic_stiffness"), -40.0, -1.0, False, ""),
         refitted=refitted,
     )
-    found = verdict_of(evidence, final, "gravity", rank)
+    found = verdict_of(split, final, "gravity", rank)
     assert ("cubic_stiffness" in found.equivalence_sets[0]) is member
     said = "With cubic stiffness in the place of gravity the held-out trials are predicted worse"
     assert any(said in line for line in found.because) is member
 
 
-def test_what_each_of_several_effects_removes_is_said(evidence):
-    found = verdict(evidence, ("stretch_reflex", "series_tendon"), 0.9)
+def test_what_each_of_several_effects_removes_is_said(split):
+    found = verdict(split, ("stretch_reflex", "series_tendon"), 0.9)
     assert any("stretch reflex 90.0 %; series tendon 0.0 %" in line for line in found.because)
-    assert not any("in turn" in s for s in verdict(evidence, ("gravity",), 0.9).because)
+    assert not any("in turn" in s for s in verdict(split, ("gravity",), 0.9).because)

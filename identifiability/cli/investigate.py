@@ -120,10 +120,10 @@ def save(findings: Findings, out: Path, *, command: str) -> list[str]:
 
 def summary(findings: Findings) -> str:
     """What was found, as text."""
-    from identifiability.investigation.pinned import interval, not_pinned_down
+    from identifiability.investigation.verdict.pinned import interval, not_pinned_down
 
     search, verdict = findings.search, findings.verdict
-    floor = findings.evidence.noise_floor()
+    floor = findings.split.noise_floor()
     lines = [verdict.sentence, ""]
     rows = [("K, B, I" if not search.baseline.keys else "baseline", search.baseline)]
     rows += [(f"+ {key.replace('_', ' ')}", candidate) for key, candidate in search.ladder]

@@ -15,17 +15,18 @@ from identifiability.errors import InputError
 from identifiability.inference.problem import Prior
 from identifiability.inference.recordings import first_guess, integrated_autocorrelation
 from identifiability.inference.widths import Widths, widths
-from identifiability.investigation.candidates import Candidate, Workbench, owners
-from identifiability.investigation.compare import Comparison, compare
-from identifiability.investigation.evidence import Evidence, gather
-from identifiability.investigation.fitter import baseline
-from identifiability.investigation.kept import KeepingWorkbench
-from identifiability.investigation.locate import Location, locate
+from identifiability.investigation.fits.bench import Workbench, owners
+from identifiability.investigation.fits.candidate import Candidate
+from identifiability.investigation.fits.kept import KeepingWorkbench
 from identifiability.investigation.next_experiment import Limits, NextExperiment, next_experiment
-from identifiability.investigation.power import Detectable, detectable
-from identifiability.investigation.search import MOST_EFFECTS, Search, Searcher, Step
-from identifiability.investigation.unexplained import Unexplained, unexplained
-from identifiability.investigation.verdict import Verdict, judge
+from identifiability.investigation.search.fitter import baseline
+from identifiability.investigation.search.search import MOST_EFFECTS, Ranking, Search, Searcher
+from identifiability.investigation.search.smallest_seen import Detectable, detectable
+from identifiability.investigation.split import Split, gather
+from identifiability.investigation.unexplained.account import Unexplained, unexplained
+from identifiability.investigation.verdict.judge import Verdict, judge
+from identifiability.investigation.where.compare import Comparison, compare
+from identifiability.investigation.where.locate import Location, locate
 from identifiability.joint.effects import EFFECTS, Effect
 from identifiability.joint.model import KBI, Model
 from identifiability.measurement.filtering import Lowpass
@@ -50,7 +51,7 @@ class Findings:
 
     Attributes
     ----------
-    evidence : Evidence
+    split : Split
     search : Search
     comparison, location : Comparison, Location
         Of the baseline model.
@@ -65,7 +66,7 @@ class Findings:
     seed : int
     """
 
-    evidence: Evidence
+    split: Split
     search: Search
     comparison: Comparison | None
     location: Location | None
@@ -129,28 +130,28 @@ class Investigation:
         progress: Progress = _silent,
     ) -> None:
         self.library = dict(EFFECTS if library is None else library)
-        evidence = gather(trials, held_out, lowpass_hz=lowpass_hz)
+        split = gather(trials, held_out, lowpass_hz=lowpass_hz)
         others = dict(bounds or {})
         self.bench = (
-            Workbench(evidence, others)
+            Workbench(split, others)
             if kept is None
-            else KeepingWorkbench(evidence, others, folder=kept)
+            else KeepingWorkbench(split, others, folder=kept)
         )
         self.warnings: tuple[str, ...] = ()
-        if self.evidence.has_noise and self.evidence.moves_early and self._leads_are_motion():
-            self.bench = replace(self.bench, evidence=self.evidence.without_leads())
+        if self.split.has_noise and self.split.moves_early and self._leads_are_motion():
+            self.bench = replace(self.bench, split=self.split.without_leads())
             self.warnings = (_MOVING,)
         self._searcher = Searcher(self.bench, self.library, progress)
 
     @property
-    def evidence(self) -> Evidence:
+    def split(self) -> Split:
         """Trials that models are fitted to, and those they are judged on."""
-        return self.bench.evidence
+        return self.bench.split
 
     def _leads_are_motion(self) -> bool:
         """Whether K, B and I explain most of what precedes the onsets: then it is not noise."""
         kbi = self.fit(KBI())
-        leads = [(r, slice(r.lead.n_samples)) for r in self.evidence.fitted]
+        leads = [(r, slice(r.lead.n_samples)) for r in self.split.fitted]
         left = sum(
             float(np.sum(e[s] ** 2)) for e, (_, s) in zip(kbi.fitted.by_trial, leads, strict=True)
         )
@@ -167,7 +168,7 @@ class Investigation:
         """
         kinds = {"K": self.bench.bounds.get("K"), "B": None, "I": self.bench.bounds.get("I")}
         prior = Prior.physical(KBI(), **{k: b for k, b in kinds.items() if b is not None})
-        guess = first_guess([r.trial for r in self.evidence.fitted], prior)
+        guess = first_guess([r.trial for r in self.split.fitted], prior)
         start = dict(zip(("K", "B", "I"), map(float, guess), strict=True))
         found = baseline(self.bench, model, start, refined=model.effect_keys if refined else ())
         if found.failure:
@@ -186,7 +187,7 @@ class Investigation:
         """What a model leaves, as a torque of which nothing is assumed but its family."""
         return unexplained(self.bench, candidate, seed=seed)
 
-    def rank(self, candidate: Candidate) -> Step:
+    def rank(self, candidate: Candidate) -> Ranking:
         """Add every effect of the library to a model, refit, and rank."""
         return self._searcher.rank(candidate)
 
@@ -199,14 +200,12 @@ class Investigation:
 
         The noise is the residual's, with its variance times its autocorrelation time.
         """
-        problem = self.bench.problem(
-            candidate.model, self.evidence.fitted, refined=candidate.refined
-        )
+        problem = self.bench.problem(candidate.model, self.split.fitted, refined=candidate.refined)
         noises = [
             float(np.sqrt(np.mean(left**2) * integrated_autocorrelation(left)))
             for left in candidate.fitted.by_trial
         ]
-        sharpened = self.evidence.weights_sd(self.evidence.fitted) / np.maximum(noises, 1e-300)
+        sharpened = self.split.weights_sd(self.split.fitted) / np.maximum(noises, 1e-300)
         observations = [
             replace(o, scale=o.scale * sharpened[i])
             for o, i in zip(problem.observations, owners(problem.observations), strict=True)
@@ -328,7 +327,7 @@ def investigate(
         if not final.keys or final is first:
             progress("the smallest effects that would have been seen", 0, 1)
             seen = attempt("power", lambda: study.smallest_seen(final)) or ()
-        verdict = judge(study.evidence, search, after, seen, study.library)
+        verdict = judge(study.split, search, after, seen, study.library)
         progress("the next experiment", 0, 1)
         following = attempt(
             "next experiment",
@@ -336,7 +335,7 @@ def investigate(
         )
         found = None if found_widths is None else found_widths.result()
     return Findings(
-        study.evidence,
+        study.split,
         search,
         comparison,
         location,

@@ -16,8 +16,9 @@ import numpy as np
 from identifiability.errors import InputError
 from identifiability.inference.fitting import explore
 from identifiability.inference.problem import Problem, observe
-from identifiability.investigation.candidates import Candidate, Workbench
-from identifiability.investigation.evidence import Evidence
+from identifiability.investigation.fits.bench import Workbench
+from identifiability.investigation.fits.candidate import Candidate
+from identifiability.investigation.split import Split
 from identifiability.joint.response import simulate
 from identifiability.measurement.noise import Noise
 from identifiability.measurement.perturbations import (
@@ -104,9 +105,9 @@ class NextExperiment:
         return asdict(self)
 
 
-def usual_limits(evidence: Evidence) -> Limits:
+def usual_limits(split: Split) -> Limits:
     """Limits that the recorded trials kept: their largest torque, angle and duration."""
-    trials = [r.trial for r in (*evidence.fitted, *evidence.held_out)]
+    trials = [r.trial for r in (*split.fitted, *split.held_out)]
     return Limits(
         max(float(np.abs(t.torque).max()) for t in trials),
         max(float(np.abs(t.angle).max()) for t in trials),
@@ -142,13 +143,13 @@ def next_experiment(
     InputError
         Where no perturbation within the limits has a finite response.
     """
-    evidence = bench.evidence
-    limits = usual_limits(evidence) if limits is None else limits
-    trial = evidence.fitted[0]
+    split = bench.split
+    limits = usual_limits(split) if limits is None else limits
+    trial = split.fitted[0]
     interval = trial.drive.interval
-    n = min(int(limits.duration / interval) + 1, evidence.room[1])
+    n = min(int(limits.duration / interval) + 1, split.room[1])
     time = interval * np.arange(n)
-    noise = _noise(evidence, final)
+    noise = _noise(split, final)
     tried = []
     for words, signal in _waveforms(time, seed):
         try:
@@ -172,9 +173,9 @@ def next_experiment(
     return NextExperiment(pair, best, tuple(tried[1:]), limits, resolved, sentence)
 
 
-def _noise(evidence: Evidence, final: Candidate) -> float:
-    if evidence.has_noise:
-        return float(np.median([r.lead.sd for r in evidence.fitted]))
+def _noise(split: Split, final: Candidate) -> float:
+    if split.has_noise:
+        return float(np.median([r.lead.sd for r in split.fitted]))
     return float(np.median([np.std(r) for r in final.fitted.by_trial]))
 
 
@@ -221,7 +222,7 @@ def _assess(
     noise: float,
     limits: Limits,
 ) -> Design:
-    angle_driven = bench.evidence.driven == "angle"
+    angle_driven = bench.split.driven == "angle"
     amplitude, most = limits.torque, limits.angle
     if angle_driven:
         amplitude, most = most, amplitude
@@ -266,10 +267,10 @@ def _simulated(candidate: Candidate, drive: Drive) -> np.ndarray:
 def _distance(
     bench: Workbench, candidate: Candidate, drive: Drive, response: np.ndarray, noise: float
 ) -> float:
-    """Evidence that remains against a model refitted to another one's response."""
+    """Split that remains against a model refitted to another one's response."""
     if not np.all(np.isfinite(response)):
         raise InputError("the response is not finite")
-    template = bench.problem(candidate.model, bench.evidence.fitted, refined=candidate.refined)
+    template = bench.problem(candidate.model, bench.split.fitted, refined=candidate.refined)
     problem = Problem(
         template.model,
         [observe(drive, response, Noise(noise))],

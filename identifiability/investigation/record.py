@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 
 from identifiability.files import plain
-from identifiability.investigation.admission import Ranked
-from identifiability.investigation.candidates import Candidate
-from identifiability.investigation.evidence import Ready
+from identifiability.investigation.fits.candidate import Candidate
 from identifiability.investigation.investigate import Findings
-from identifiability.investigation.pinned import not_pinned_down
-from identifiability.investigation.unexplained import Unexplained
+from identifiability.investigation.search.gate import Ranked
+from identifiability.investigation.split import Ready
+from identifiability.investigation.unexplained.account import Unexplained
+from identifiability.investigation.verdict.pinned import not_pinned_down
 from identifiability.provenance import package_version
 
 SCHEMA = 1
@@ -35,17 +35,15 @@ def investigation_record(findings: Findings, *, command: str = "") -> dict[str, 
         ``schema``, ``baseline``, ``steps``, ``verdict`` and ``next_experiment``, then everything
         else that the report shows. E is Eq. 3's error pooled over trials.
     """
-    search, verdict, evidence = findings.search, findings.verdict, findings.evidence
+    search, verdict, split = findings.search, findings.verdict, findings.split
     sets = dict(zip(search.alternatives, verdict.equivalence_sets, strict=False))
     found = {
         "schema": SCHEMA,
         "baseline": {
             "effects": list(search.baseline.keys),
             **_errors(search.baseline),
-            "noise_floor": evidence.noise_floor(),
-            "noise_floor_held_out": evidence.noise_floor(evidence.held_out)
-            if evidence.held_out
-            else None,
+            "noise_floor": split.noise_floor(),
+            "noise_floor_held_out": split.noise_floor(split.held_out) if split.held_out else None,
             "parameters": dict(search.baseline.values),
         },
         "steps": [
@@ -102,15 +100,15 @@ def investigation_record(findings: Findings, *, command: str = "") -> dict[str, 
         if findings.widths is None
         else list(not_pinned_down(findings.widths)),
         "trials": [
-            *(_trial(r, "fitted") for r in evidence.fitted),
-            *(_trial(r, "held out") for r in evidence.held_out),
+            *(_trial(r, "fitted") for r in split.fitted),
+            *(_trial(r, "held out") for r in split.held_out),
         ],
-        "held_out": evidence.how_held_out,
-        "driven": evidence.driven,
+        "held_out": split.how_held_out,
+        "driven": split.driven,
         "warnings": list(findings.warnings),
         "package": package_version(),
         "seed": findings.seed,
-        "data_sha256": data_hash((*evidence.fitted, *evidence.held_out)),
+        "data_sha256": data_hash((*split.fitted, *split.held_out)),
         "command": command,
     }
     written: dict[str, Any] = plain(found)

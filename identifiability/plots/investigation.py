@@ -9,9 +9,9 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from identifiability.inference.widths import Widths
-from identifiability.investigation.admission import DECISIVE
 from identifiability.investigation.investigate import Findings
-from identifiability.investigation.search import Step
+from identifiability.investigation.search.gate import DECISIVE
+from identifiability.investigation.search.search import Ranking
 from identifiability.plots.style import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILLION, styled
 
 _DIVERGED = 1e3  # E of a prediction that has nothing to do with the trial any more
@@ -23,12 +23,12 @@ def error_text(error: float, digits: int = 3) -> str:
     return f"{error:.{digits}g}" if error < _DIVERGED else "diverges"
 
 
-def ranking_figure(step: Step, members: Sequence[str] = ()) -> Figure:
-    """Evidence of every candidate for one step, physics and measurement in two colours.
+def ranking_figure(step: Ranking, members: Sequence[str] = ()) -> Figure:
+    """Split of every candidate for one step, physics and measurement in two colours.
 
     Parameters
     ----------
-    step : Step
+    step : Ranking
     members : sequence of str
         Effects that cannot be told apart from the one that was chosen.
 
@@ -101,7 +101,7 @@ def ranking_figure(step: Step, members: Sequence[str] = ()) -> Figure:
 
 def ladder_figure(findings: Findings) -> Figure:
     """Error on fitted and held-out trials with every effect added, against the noise floor."""
-    search, evidence = findings.search, findings.evidence
+    search, split = findings.search, findings.split
     names = ["K, B, I", *(f"+ {key.replace('_', ' ')}" for key, _ in search.ladder)]
     rungs = [search.baseline, *(candidate for _, candidate in search.ladder)]
     with styled():
@@ -109,13 +109,13 @@ def ladder_figure(findings: Findings) -> Figure:
         axes = figure.subplots()
         place = np.arange(len(rungs))
         axes.plot(place, [c.fitted.error for c in rungs], "o-", color=BLUE, label="fitted trials")
-        if evidence.held_out:
+        if split.held_out:
             held = [c.held_out.error for c in rungs]
             axes.plot(place, held, "s--", color=VERMILLION, label="held-out trials")
-        floor = evidence.noise_floor()
+        floor = split.noise_floor()
         if floor is not None:
             axes.axhline(floor, color=GREEN, lw=1.5, label="noise floor")
-            share = 2 * evidence.floor_uncertainty()
+            share = 2 * split.floor_uncertainty()
             axes.axhspan(
                 floor * max(1 - share, 0.05), floor * (1 + share), color=GREEN, alpha=0.15, lw=0
             )

@@ -11,12 +11,12 @@ from matplotlib.colors import TwoSlopeNorm
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.patches import Patch
 
-from identifiability.investigation.library_free.readouts import (
+from identifiability.investigation.unexplained.account import DECISIVE, Unexplained
+from identifiability.investigation.unexplained.readouts import (
     MemoryKernel,
     MissingTorque,
     StaticMap,
 )
-from identifiability.investigation.unexplained import DECISIVE, Unexplained
 from identifiability.plots.style import BLUE, GREY, ORANGE, PURPLE, VERMILLION, styled
 
 _MOST_TRIALS, _MOST_FAMILIES = 4, 8

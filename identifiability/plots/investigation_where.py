@@ -8,14 +8,14 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from identifiability.investigation.candidates import Candidate
-from identifiability.investigation.compare import Comparison, Constancy
-from identifiability.investigation.evidence import Evidence, Ready
-from identifiability.investigation.imposed import starts
-from identifiability.investigation.locate import Location
-from identifiability.investigation.refits import NAMES, UNITS
+from identifiability.investigation.fits.candidate import Candidate
+from identifiability.investigation.fits.refits import NAMES, UNITS
+from identifiability.investigation.split import Ready, Split
 from identifiability.investigation.where.by_trial import TrialView
+from identifiability.investigation.where.compare import Comparison, Constancy
+from identifiability.investigation.where.imposed import starts
 from identifiability.investigation.where.in_state import Curve
+from identifiability.investigation.where.locate import Location
 from identifiability.plots.style import BLACK, BLUE, GREY, ORANGE, SKY, VERMILLION, styled
 
 _MOST_TRIALS, _COLUMNS = 8, 4
@@ -25,9 +25,7 @@ _INTERVAL = 1.96  # standard errors of a 95 % interval
 _UNITS = {"torque": "rad", "angle": "Nm"}  # of the response to it
 
 
-def responses_figure(
-    evidence: Evidence, before: Candidate, after: Candidate | None = None
-) -> Figure:
+def responses_figure(split: Split, before: Candidate, after: Candidate | None = None) -> Figure:
     """Measured and predicted responses of up to eight trials, and under each what is left.
 
     Where there are more, those are shown that the first model describes worst, each kind once
@@ -35,7 +33,7 @@ def responses_figure(
 
     Parameters
     ----------
-    evidence : Evidence
+    split : Split
     before, after : Candidate
         Models whose predictions are drawn.
 
@@ -43,13 +41,13 @@ def responses_figure(
     -------
     Figure
     """
-    trials = evidence.fitted
+    trials = split.fitted
     shown = sorted(np.argsort(before.fitted.errors)[::-1][:_MOST_TRIALS].tolist())
     models = [(before, _title(before), VERMILLION)]
     if after is not None:
         models.append((after, _title(after), BLUE))
-    in_noise = evidence.has_noise and all(r.lead.sd > 0 for r in trials)
-    unit = _UNITS[evidence.driven]
+    in_noise = split.has_noise and all(r.lead.sd > 0 for r in trials)
+    unit = _UNITS[split.driven]
     n_columns = min(len(shown), _COLUMNS)
     n_rows = -(-len(shown) // n_columns)
     with styled():

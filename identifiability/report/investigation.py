@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from identifiability.files import write_text
-from identifiability.investigation.admission import DECISIVE, Ranked
 from identifiability.investigation.investigate import Findings
-from identifiability.investigation.pinned import interval, not_pinned_down
-from identifiability.investigation.search import Step
+from identifiability.investigation.search.gate import DECISIVE, Ranked
+from identifiability.investigation.search.search import Ranking
+from identifiability.investigation.verdict.pinned import interval, not_pinned_down
 from identifiability.joint.parameters import with_unit
 from identifiability.plots.investigation import (
     error_text,
@@ -71,10 +71,10 @@ def write_report(findings: Findings, record: dict[str, Any], out: Path) -> list[
         written.append(f"{name}.png")
         page.figure(png(figure), caption, alt=caption)
 
-    evidence = findings.evidence
+    split = findings.split
     page.paragraph(
-        f"{len(evidence.fitted)} trial(s) fitted, {len(evidence.held_out)} held out "
-        f"({evidence.how_held_out}); {evidence.driven} imposed; {search.n_fits} models fitted."
+        f"{len(split.fitted)} trial(s) fitted, {len(split.held_out)} held out "
+        f"({split.how_held_out}); {split.driven} imposed; {search.n_fits} models fitted."
     )
     page.box([_KINDS[verdict.kind] + ".", verdict.sentence])
     page.items(list(verdict.because))
@@ -83,7 +83,7 @@ def write_report(findings: Findings, record: dict[str, Any], out: Path) -> list[
     after = search.final if search.final is not search.baseline else None
     show(
         "overlay",
-        lambda: responses_figure(evidence, search.baseline, after),
+        lambda: responses_figure(split, search.baseline, after),
         "Measured and predicted responses, and under each what is left.",
     )
     if findings.comparison is not None:
@@ -110,7 +110,7 @@ def write_report(findings: Findings, record: dict[str, Any], out: Path) -> list[
         show(
             f"ranking_{number}",
             lambda step=step: ranking_figure(step, sets.get(step.chosen, ())),  # type: ignore[misc]
-            f"Step {number}: every effect added to the model and fitted anew. Evidence above "
+            f"Ranking {number}: every effect added to the model and fitted anew. Split above "
             f"{DECISIVE:.0f} is decisive; an effect is admitted if the held-out trials agree.",
         )
         _ranking_table(page, step)
@@ -144,7 +144,7 @@ def write_report(findings: Findings, record: dict[str, Any], out: Path) -> list[
         page.paragraph(
             f"Held against {' and '.join(replaced)}: {r.key.replace('_', ' ')}, which names no "
             f"one mechanism, {'and displaces' if r.passes else 'but does not displace'} "
-            f"{'it' if len(replaced) == 1 else 'them'}. Evidence against the final model "
+            f"{'it' if len(replaced) == 1 else 'them'}. Split against the final model "
             f"{r.evidence:.1f}, E held out {error_text(r.candidate.held_out.error)}."
         )
 
@@ -216,7 +216,7 @@ def write_report(findings: Findings, record: dict[str, Any], out: Path) -> list[
             f"data SHA-256 {record['data_sha256']}",
             "E is the summed squared residual over the summed squared response of a trial (Eq. 3 "
             "of Kistemaker & Rozendaal 2011), averaged over trials; VAF is 1 - E.",
-            "Evidence is the number of independent samples times the logarithm of the ratio of "
+            "Split is the number of independent samples times the logarithm of the ratio of "
             "residuals, less the penalty of the Bayesian information criterion.",
         ]
     )
@@ -244,7 +244,7 @@ def write_report(findings: Findings, record: dict[str, Any], out: Path) -> list[
     return written
 
 
-def _ranking_table(page: Page, step: Step) -> None:
+def _ranking_table(page: Page, step: Ranking) -> None:
     rows, marked = [], []
     for r in step.ranking:
         marked.append("chosen" if r.key == step.chosen else "failed" if r.candidate.failure else "")

@@ -106,7 +106,7 @@ class Cell:
         return widths(problem, starts=self.setting.starts(), seed=self.own_seed)
 
 
-class Model(NamedTuple):
+class Drawn(NamedTuple):
     """A musculoskeletal model whose posterior is drawn; units as in `Setting`."""
 
     K_CE: float
@@ -146,7 +146,7 @@ class Plan:
     K_CE, B_CE, ratio, T : tuple of float
         Axes of the grid, ascending.
     perturbations, readings : tuple of str
-    corner : tuple of Model
+    corner : tuple of Drawn
         Models whose corner plots are drawn, for each T, after the first perturbation and under the
         first reading.
     seed : int
@@ -160,8 +160,8 @@ class Plan:
     T: tuple[float, ...] = (0.05, 0.1, 0.2)
     perturbations: tuple[str, ...] = ("impulse", "sinusoid")
     readings: tuple[str, ...] = READINGS
-    corner: tuple[Model, ...] = field(
-        default=(Model(32.0, 3.2, 100.0, 0.1), Model(32.0, 10.0, 320.0, 0.1))
+    corner: tuple[Drawn, ...] = field(
+        default=(Drawn(32.0, 3.2, 100.0, 0.1), Drawn(32.0, 10.0, 320.0, 0.1))
     )
     seed: int = 1
     dE: float = 1e-3
@@ -329,7 +329,7 @@ def _choices(options: tuple[str, ...]) -> Callable[[str, Any], tuple[str, ...]]:
     return check
 
 
-def _models(key: str, value: Any) -> tuple[Model, ...]:
+def _models(key: str, value: Any) -> tuple[Drawn, ...]:
     def is_model(row: Any) -> bool:
         return isinstance(row, list) and len(row) == 4 and all(_is_number(v) and v > 0 for v in row)
 
@@ -338,7 +338,7 @@ def _models(key: str, value: Any) -> tuple[Model, ...]:
             f"found {key} = {value!r}, expected rows of K_CE, B_CE, K_SE and I, numbers above 0, "
             f"such as {key} = [[32, 3.2, 100, 0.1]]"
         )
-    return tuple(Model(*map(float, row)) for row in value)
+    return tuple(Drawn(*map(float, row)) for row in value)
 
 
 def _seed(key: str, value: Any) -> int:

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identifiability.investigation.compare import plain, probability
+from identifiability.investigation.where.compare import plain, probability
 from identifiability.investigation.where.scene import Scene, View, bin_of, misfit, time_edges
-from identifiability.investigation.whitening import Portion, excess
+from identifiability.investigation.where.whitening import Portion, excess
 
 _OPPOSITE, _OTHER_SIZE = 0.05, 1.2  # how close to -1, and how far from 1, the ratio of sizes is
 

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from identifiability.investigation.compare import plain
-from identifiability.investigation.refits import correlation_time
+from identifiability.investigation.fits.refits import correlation_time
+from identifiability.investigation.where.compare import plain
 from identifiability.investigation.where.scene import Scene, View
-from identifiability.investigation.whitening import excess
+from identifiability.investigation.where.whitening import excess
 
 
 @dataclass(frozen=True, eq=False)

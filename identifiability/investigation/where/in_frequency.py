@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import signal, stats
 
-from identifiability.investigation.compare import plain
+from identifiability.investigation.where.compare import plain
 from identifiability.investigation.where.scene import Scene, View
-from identifiability.investigation.whitening import Portion, excess
+from identifiability.investigation.where.whitening import Portion, excess
 
 _LONGEST_SEGMENT, _FEWEST_SEGMENTS = 1.0, 3  # of the spectra [s]; for a coherence
 _TAPERED = 0.25  # share of a segment that is tapered, lest its ends leak into high frequencies

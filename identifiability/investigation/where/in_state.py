@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg, signal, stats
 
-from identifiability.investigation.compare import probability
-from identifiability.investigation.evidence import Ready
-from identifiability.investigation.refits import correlation_time
+from identifiability.investigation.fits.refits import correlation_time
+from identifiability.investigation.split import Ready
+from identifiability.investigation.where.compare import probability
 from identifiability.investigation.where.scene import Scene, View
-from identifiability.investigation.whitening import Portion, excess
+from identifiability.investigation.where.whitening import Portion, excess
 
 _KNOTS, _REACH = 9, 0.995  # of angle and velocity each, an odd number; quantile that they span
 _DETERMINED = 0.03  # least singular value of the regression on torques, relative to the largest

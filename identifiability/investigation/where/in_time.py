@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identifiability.investigation.compare import plain, probability
-from identifiability.investigation.refits import UNKNOWN_LEVEL, without_levels
+from identifiability.investigation.fits.refits import UNKNOWN_LEVEL, without_levels
+from identifiability.investigation.where.compare import plain, probability
 from identifiability.investigation.where.scene import Scene, View, bin_of, share, time_edges
-from identifiability.investigation.whitening import excess
+from identifiability.investigation.where.whitening import excess
 
 _LATENCY_BIN, _LONGEST_LATENCY = 0.01, 0.4  # seconds in which an onset of the misfit is looked for
 

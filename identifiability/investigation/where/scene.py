@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import stats
 
-from identifiability.investigation.candidates import Candidate
-from identifiability.investigation.evidence import Ready
-from identifiability.investigation.imposed import Imposed
-from identifiability.investigation.refits import Refits
-from identifiability.investigation.whitening import Blocks, Portion, Whitening, excess
+from identifiability.investigation.fits.candidate import Candidate
+from identifiability.investigation.fits.refits import Refits
+from identifiability.investigation.split import Ready
+from identifiability.investigation.where.imposed import Imposed
+from identifiability.investigation.where.whitening import Blocks, Portion, Whitening, excess
 
 _WIDTHS, _MOST_BINS = (0.01, 0.02), 60  # of the bins in time [s], and their number
 

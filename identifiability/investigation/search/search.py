@@ -8,7 +8,11 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from identifiability.investigation.admission import (
+from identifiability.investigation.fits.bench import Workbench
+from identifiability.investigation.fits.candidate import Candidate
+from identifiability.investigation.fits.starts import starting_values
+from identifiability.investigation.search.fitter import Fitter, refinable
+from identifiability.investigation.search.gate import (
     DECISIVE,
     ONLY_MENDS,
     Gate,
@@ -19,9 +23,7 @@ from identifiability.investigation.admission import (
     pooled_error,
     total_evidence,
 )
-from identifiability.investigation.candidates import Candidate, Workbench, starting_values
-from identifiability.investigation.evidence import DISCREPANCY
-from identifiability.investigation.fitter import Fitter, refinable
+from identifiability.investigation.split import DISCREPANCY
 from identifiability.joint.effects import (
     EFFECTS,
     Effect,
@@ -46,7 +48,7 @@ Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True, eq=False)
-class Step:
+class Ranking:
     """One effect added.
 
     Attributes
@@ -73,7 +75,7 @@ class Search:
     Attributes
     ----------
     baseline : Candidate
-    steps : tuple of Step
+    steps : tuple of Ranking
         The last one admitted nothing, unless the search ended for another reason.
     final : Candidate
     ladder : tuple of (str, Candidate)
@@ -86,7 +88,7 @@ class Search:
         For each effect of the final model, the model without it.
     descriptions : tuple of Ranked
         Descriptions that name no one mechanism, in the place of effects of the final model that may
-        be no more than that; one that passes stands for them. Evidence is against the final model.
+        be no more than that; one that passes stands for them. Split is against the final model.
     exact : bool
         Whether the final model leaves no more than noise.
     n_fits : int
@@ -96,7 +98,7 @@ class Search:
     """
 
     baseline: Candidate
-    steps: tuple[Step, ...]
+    steps: tuple[Ranking, ...]
     final: Candidate
     ladder: tuple[tuple[str, Candidate], ...]
     alternatives: dict[str, tuple[Ranked, ...]]
@@ -187,13 +189,13 @@ class Searcher:
 
     @property
     def _reached(self) -> str:
-        if self.bench.evidence.has_noise:
+        if self.bench.split.has_noise:
             return "the error reached the noise floor"
         return (
             f"the noise is not known, and an error below {DISCREPANCY:g} may be one of measurement"
         )
 
-    def rank(self, current: Candidate) -> Step:
+    def rank(self, current: Candidate) -> Ranking:
         """Add every effect of the library to a model, refit, and rank."""
         keys = [key for key in self.library if key not in current.keys]
         kept = self._screen(keys, current)
@@ -201,12 +203,12 @@ class Searcher:
         fitted = self._fit_all(f"adding to {_named(current)}", jobs, current)
         ranking = self._refine(self._ranked(fitted, current), current)
         chosen = self._choose([r for r in ranking if r.passes])
-        return Step(current, tuple(ranking), chosen, tuple(k for k in keys if k not in kept))
+        return Ranking(current, tuple(ranking), chosen, tuple(k for k in keys if k not in kept))
 
     def _choose(self, admitted: Sequence[Ranked]) -> str:
         """Effect to add: the best, or the plainest where the noise is unknown and many do."""
         admitted = [r for r in admitted if not r.doubt] or admitted
-        if not self.bench.evidence.has_noise:
+        if not self.bench.split.has_noise:
             enough = [r for r in admitted if self.gate.at_floor(r.candidate)]
             admitted = sorted(enough, key=lambda r: len(r.candidate.free)) or admitted
         return admitted[0].key if admitted else ""
@@ -220,7 +222,7 @@ class Searcher:
         """
         if not current.keys or len(keys) <= _SCREENED:
             return list(keys)
-        fitted = self.bench.evidence.fitted
+        fitted = self.bench.split.fitted
         problem = self.bench.problem(current.model, fitted, refined=current.refined)
         theta = current.model.vector(current.values)[list(problem.free)]
         basis, _ = np.linalg.qr(problem.jacobian(theta))
@@ -326,7 +328,7 @@ class Searcher:
             out.append(plain)
         return sorted(out, key=lambda r: -r.evidence)
 
-    def _improve(self, current: Candidate, baseline: Candidate, step: Step) -> Candidate:
+    def _improve(self, current: Candidate, baseline: Candidate, step: Ranking) -> Candidate:
         """Swap earlier effects for others now that one more is known."""
         added = [key for key in current.keys if key not in baseline.keys]
         if len(added) < 2:
@@ -460,7 +462,7 @@ class Searcher:
         final: Candidate,
         baseline: Candidate,
         added: Sequence[str],
-        steps: Sequence[Step],
+        steps: Sequence[Ranking],
     ) -> dict[str, tuple[Ranked, ...]]:
         out = {}
         for key in added:

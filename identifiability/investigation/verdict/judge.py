@@ -7,7 +7,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from identifiability.investigation.admission import (
+from identifiability.investigation.fits.candidate import Candidate
+from identifiability.investigation.fits.independent import effective_samples
+from identifiability.investigation.search.equivalence import comes_near, equivalence_set, same_form
+from identifiability.investigation.search.gate import (
     DECISIVE,
     DISAGREE,
     FORM,
@@ -16,12 +19,10 @@ from identifiability.investigation.admission import (
     Ranked,
     does_as_well,
 )
-from identifiability.investigation.candidates import Candidate, effective_samples
-from identifiability.investigation.equivalence import comes_near, equivalence_set, same_form
-from identifiability.investigation.evidence import Evidence
-from identifiability.investigation.power import Detectable
-from identifiability.investigation.search import Search
-from identifiability.investigation.unexplained import Unexplained
+from identifiability.investigation.search.search import Search
+from identifiability.investigation.search.smallest_seen import Detectable
+from identifiability.investigation.split import Split
+from identifiability.investigation.unexplained.account import Unexplained
 from identifiability.joint.effects.base import Effect
 
 EXPLAINED_SHARE = 0.8
@@ -83,7 +84,7 @@ class Verdict:
 
 
 def judge(
-    evidence: Evidence,
+    split: Split,
     search: Search,
     rest: Unexplained,
     smallest_seen: Sequence[Detectable],
@@ -93,7 +94,7 @@ def judge(
 
     Parameters
     ----------
-    evidence : Evidence
+    split : Split
     search : Search
     rest : Unexplained
         Library-free account of what the final model leaves.
@@ -104,17 +105,17 @@ def judge(
     baseline, final = search.baseline, search.final
     sets = tuple(tuple(equivalence_set(key, search, library)) for key in search.alternatives)
     names = tuple(s[0] for s in sets)
-    share = _share(evidence, baseline, final)
-    because = [_errors(evidence, baseline, final), *_one_by_one(evidence, search)]
-    quiet = _quiet(evidence, final, rest)
-    because += [*_reasons(evidence, search, sets, library), *_clue(search), *_at_bound(final)]
+    share = _share(split, baseline, final)
+    because = [_errors(split, baseline, final), *_one_by_one(split, search)]
+    quiet = _quiet(split, final, rest)
+    because += [*_reasons(split, search, sets, library), *_clue(search), *_at_bound(final)]
     if search.description is not None:
         return _described(search.description, search, share, because)
     if not names:
         return _nothing_named(rest, quiet, because, smallest_seen)
     measured = all(library[k].place == "sensor" for s in sets for k in s)
-    enough = EXPLAINED_SHARE if evidence.has_noise else NAMED_SHARE
-    if evidence.has_noise and final.model.linear and not measured:
+    enough = EXPLAINED_SHARE if split.has_noise else NAMED_SHARE
+    if split.has_noise and final.model.linear and not measured:
         enough = LINEAR_SHARE
     if not quiet and share is not None and share < enough:
         return _partly(rest, names, sets, share, because, library)
@@ -229,30 +230,30 @@ def _unknown_kind(rest: Unexplained) -> str:
     }[kind]
 
 
-def _share(evidence: Evidence, baseline: Candidate, final: Candidate) -> float | None:
+def _share(split: Split, baseline: Candidate, final: Candidate) -> float | None:
     """Share of the misfit beyond the noise that is gone, on held-out trials where there are any."""
-    held = bool(evidence.held_out)
+    held = bool(split.held_out)
     before, after = ((c.held_out if held else c.fitted).error for c in (baseline, final))
-    floor = evidence.noise_floor(evidence.held_out if held else evidence.fitted) or 0.0
+    floor = split.noise_floor(split.held_out if held else split.fitted) or 0.0
     if before <= floor:
         return None
     return float((before - max(after, floor)) / (before - floor))
 
 
-def _quiet(evidence: Evidence, final: Candidate, rest: Unexplained) -> bool:
+def _quiet(split: Split, final: Candidate, rest: Unexplained) -> bool:
     """Whether the model leaves nothing that a library-free torque could explain."""
-    floor = evidence.noise_floor()
+    floor = split.noise_floor()
     if floor is not None:
         slack = 1 + max(
-            3 * evidence.floor_uncertainty(), 3 * np.sqrt(2 / effective_samples(final.fitted))
+            3 * split.floor_uncertainty(), 3 * np.sqrt(2 / effective_samples(final.fitted))
         )
         if final.fitted.error <= floor * slack and rest.share < 0.1:
             return True
     return rest.best.kind == "none"
 
 
-def _errors(evidence: Evidence, baseline: Candidate, final: Candidate) -> str:
-    floor = evidence.noise_floor()
+def _errors(split: Split, baseline: Candidate, final: Candidate) -> str:
+    floor = split.noise_floor()
     noise = f"; the noise alone leaves {floor:.2g}" if floor is not None else ""
     if final is baseline or not final.keys:
         return (
@@ -266,26 +267,26 @@ def _errors(evidence: Evidence, baseline: Candidate, final: Candidate) -> str:
     )
 
 
-def _one_by_one(evidence: Evidence, search: Search) -> list[str]:
+def _one_by_one(split: Split, search: Search) -> list[str]:
     """What each of several effects removes, in the order of the error ladder."""
     if len(search.ladder) < 2:
         return []
-    rungs = [(key, _share(evidence, search.baseline, model)) for key, model in search.ladder]
+    rungs = [(key, _share(split, search.baseline, model)) for key, model in search.ladder]
     removed, said = 0.0, []
     for key, share in rungs:
         if share is None:
             return []
         said.append(f"{_plain(key)} {100 * (share - removed):.1f} %")
         removed = share
-    trials = "held-out" if evidence.held_out else "fitted"
-    noise = " beyond the noise" if evidence.has_noise else ""
+    trials = "held-out" if split.held_out else "fitted"
+    noise = " beyond the noise" if split.has_noise else ""
     return [
         f"Of the misfit of the {trials} trials{noise}, each removes in turn: {'; '.join(said)}."
     ]
 
 
 def _reasons(
-    evidence: Evidence,
+    split: Split,
     search: Search,
     sets: Sequence[Sequence[str]],
     library: Mapping[str, type[Effect]],
@@ -319,11 +320,11 @@ def _reasons(
             if r.caveat and r.evidence > -DECISIVE
         ]
         own = search.final.model.effect(chosen)
-        if evidence.driven == "torque" and (doubt := own.doubt(search.final.values)):
+        if split.driven == "torque" and (doubt := own.doubt(search.final.values)):
             out.append(f"Of the {_plain(chosen)}, {doubt}: it may stand for something quicker.")
         alike = [r for r in search.alternatives[chosen] if r.key in members]
         better = [r for r in alike if r.evidence > DECISIVE]
-        if better and not evidence.has_noise:
+        if better and not split.has_noise:
             out.append(
                 f"With more parameters, {_plain(better[0].key)} leaves less still, but what the "
                 f"{_plain(members[0])} leaves may be error of measurement."
@@ -348,7 +349,7 @@ def _reasons(
             for r in alike
             if comes_near(chosen, r, search) and abs(r.evidence) > DECISIVE and r.key not in same
         ]
-        if near and evidence.has_noise:
+        if near and split.has_noise:
             out.append(
                 f"In the place of {_plain(members[0])} there may be "
                 f"{_list([_plain(k) for k in near])}: what is left is the same but for "

@@ -8,13 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from identifiability.errors import InputError
-from identifiability.investigation.admission import DECISIVE
-from identifiability.investigation.candidates import (
-    Candidate,
-    Workbench,
-    effective_samples,
-    starting_values,
-)
+from identifiability.investigation.fits.bench import Workbench
+from identifiability.investigation.fits.candidate import Candidate
+from identifiability.investigation.fits.independent import effective_samples
+from identifiability.investigation.fits.starts import starting_values
+from identifiability.investigation.search.gate import DECISIVE
 from identifiability.joint.effects.base import Effect
 from identifiability.joint.model import Model
 
@@ -61,8 +59,8 @@ def detectable(
         The model in which nothing was found missing.
     library : mapping of str to type of Effect
     """
-    evidence = bench.evidence
-    problem = bench.problem(candidate.model, evidence.fitted)
+    split = bench.split
+    problem = bench.problem(candidate.model, split.fitted)
     theta = candidate.model.vector(candidate.values)[list(problem.free)]
     basis, _ = np.linalg.qr(problem.jacobian(theta))
     before = problem.residuals(theta)
@@ -104,7 +102,7 @@ def _smallest(
     sizes = [n for n in sizes if model.parameters[n].plain is None]
     measure = sizes[0]
     p = model.parameters[measure]
-    problem = bench.problem(model, bench.evidence.fitted)
+    problem = bench.problem(model, bench.split.fitted)
     penalty = sum(q.plain is None for n, q in model.parameters.items() if n.startswith(f"{key}."))
     needed = DECISIVE + penalty * np.log(samples)
 

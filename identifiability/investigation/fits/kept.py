@@ -16,7 +16,8 @@ from typing import Any
 import numpy as np
 
 from identifiability.files import read_arrays, write_arrays
-from identifiability.investigation.candidates import Candidate, Residual, Workbench
+from identifiability.investigation.fits.bench import Workbench
+from identifiability.investigation.fits.candidate import Candidate, Residual
 from identifiability.joint.model import Model
 from identifiability.provenance import fingerprint, package_version
 
@@ -38,8 +39,8 @@ class KeepingWorkbench(Workbench):
 
     @cached_property
     def _identity(self) -> str:
-        evidence = self.evidence
-        return fingerprint(package_version(), evidence.fitted, evidence.held_out, self.bounds)
+        split = self.split
+        return fingerprint(package_version(), split.fitted, split.held_out, self.bounds)
 
     def fit(
         self,

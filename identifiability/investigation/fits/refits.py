@@ -15,7 +15,8 @@ import numpy as np
 import scipy.optimize
 
 from identifiability.inference.problem import Problem
-from identifiability.investigation.candidates import Candidate, Workbench, owners
+from identifiability.investigation.fits.bench import Workbench, owners
+from identifiability.investigation.fits.candidate import Candidate
 
 NAMES = ("K", "B", "I")
 UNITS = ("Nm/rad", "Nms/rad", "kg m²")
@@ -71,14 +72,14 @@ class Refits:
 
     @cached_property
     def _problem(self) -> Problem:
-        fitted = self.bench.evidence.fitted
+        fitted = self.bench.split.fitted
         return self.bench.problem(self.candidate.model, fitted, refined=self.candidate.refined)
 
     @cached_property
     def _places(self) -> list[tuple[np.ndarray, float]]:
         """Where a trial's samples are among the problem's residuals, and their weight's scale."""
-        evidence, width = self.bench.evidence, self._problem.data.measured.shape[1]
-        sds = evidence.weights_sd(evidence.fitted)
+        split, width = self.bench.split, self._problem.data.measured.shape[1]
+        sds = split.weights_sd(split.fitted)
         rows: list[list[np.ndarray]] = [[] for _ in sds]
         observations = self._problem.observations
         for k, (observation, i) in enumerate(zip(observations, owners(observations), strict=True)):

@@ -15,9 +15,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import linalg, signal, stats
 
-from identifiability.investigation.candidates import Residual
-from identifiability.investigation.evidence import Ready
-from identifiability.investigation.imposed import starts
+from identifiability.investigation.fits.candidate import Residual
+from identifiability.investigation.split import Ready
+from identifiability.investigation.where.imposed import starts
 
 BLOCK = 0.005
 """Duration [s] that whitened residuals are averaged over."""

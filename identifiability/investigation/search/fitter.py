@@ -8,7 +8,9 @@ from functools import cached_property
 
 import numpy as np
 
-from identifiability.investigation.candidates import Candidate, Workbench, starting_values
+from identifiability.investigation.fits.bench import Workbench
+from identifiability.investigation.fits.candidate import Candidate
+from identifiability.investigation.fits.starts import starting_values
 from identifiability.joint.model import Model
 
 Fits = dict[tuple[tuple[str, ...], tuple[str, ...]], Candidate]
@@ -110,9 +112,9 @@ class Fitter:
     @cached_property
     def _none_held_out(self) -> Workbench:
         """The bench with the held-out trials among those to be fitted."""
-        evidence = self.bench.evidence
-        everything = (*evidence.fitted, *evidence.held_out)
-        return replace(self.bench, evidence=replace(evidence, fitted=everything, held_out=()))
+        split = self.bench.split
+        everything = (*split.fitted, *split.held_out)
+        return replace(self.bench, split=replace(split, fitted=everything, held_out=()))
 
 
 def baseline(

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identifiability.investigation.candidates import Candidate
-from identifiability.investigation.library_free.terms import Term
-from identifiability.investigation.library_free.traces import Trace
+from identifiability.investigation.fits.candidate import Candidate
+from identifiability.investigation.unexplained.terms import Term
+from identifiability.investigation.unexplained.traces import Trace
 
 
 @dataclass(frozen=True, eq=False)

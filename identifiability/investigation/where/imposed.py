@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identifiability.investigation.evidence import Ready
+from identifiability.investigation.split import Ready
 from identifiability.measurement.trials import onsets
 
 _ALIKE = 0.99  # correlation of imposed signals that are scaled copies of each other

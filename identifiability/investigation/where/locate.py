@@ -10,9 +10,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from identifiability.investigation.candidates import Candidate, Workbench
-from identifiability.investigation.imposed import imposed
-from identifiability.investigation.refits import Refits
+from identifiability.investigation.fits.bench import Workbench
+from identifiability.investigation.fits.candidate import Candidate
+from identifiability.investigation.fits.refits import Refits
 from identifiability.investigation.where.by_size import (
     AmplitudeView,
     DirectionView,
@@ -20,11 +20,12 @@ from identifiability.investigation.where.by_size import (
     by_direction,
 )
 from identifiability.investigation.where.by_trial import TrialView, by_trial
+from identifiability.investigation.where.imposed import imposed
 from identifiability.investigation.where.in_frequency import FrequencyView, in_frequency
 from identifiability.investigation.where.in_state import StateView, in_state
 from identifiability.investigation.where.in_time import TimeView, in_time
 from identifiability.investigation.where.scene import Scene, View
-from identifiability.investigation.whitening import whitening
+from identifiability.investigation.where.whitening import whitening
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +81,7 @@ def locate(bench: Workbench, candidate: Candidate, level: float = 0.05) -> Locat
     -------
     Location
     """
-    parts = bench.evidence.fitted
+    parts = bench.split.fitted
     noise = whitening(parts, candidate.fitted)
     blocks = tuple(
         noise.blocks(i, ready, left)
@@ -102,6 +103,6 @@ def locate(bench: Workbench, candidate: Candidate, level: float = 0.05) -> Locat
         by_trial(scene, trials, "trial", "trials"),
         by_trial(scene, conditions, "kind of perturbation", "kinds of perturbation"),
         noise.known,
-        bench.evidence.driven,
+        bench.split.driven,
         level,
     )

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from identifiability.investigation.admission import FORM, Ranked, does_as_well, pooled_error
-from identifiability.investigation.search import Search
+from identifiability.investigation.search.gate import FORM, Ranked, does_as_well, pooled_error
+from identifiability.investigation.search.search import Search
 from identifiability.joint.effects.base import Effect
 
 

@@ -1,6 +1,6 @@
 """Which effects are believed: evidence, agreement of the held-out trials, and share of the misfit.
 
-Evidence for a larger model is the logarithm of the ratio of the weighted residuals, times the
+Split for a larger model is the logarithm of the ratio of the weighted residuals, times the
 number of samples that count as independent, less a penalty for its parameters: the Bayesian
 information criterion of Schwarz 1978 (Ann Stat 6: 461-464) with an unknown scale of the noise.
 Trials that were held out add twice their gain in log likelihood, with no penalty: an effect may
@@ -15,13 +15,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identifiability.investigation.candidates import (
-    Candidate,
-    Workbench,
-    difference,
-    effective_samples,
-)
-from identifiability.investigation.evidence import DISCREPANCY
+from identifiability.investigation.fits.bench import Workbench
+from identifiability.investigation.fits.candidate import Candidate
+from identifiability.investigation.fits.independent import difference, effective_samples
+from identifiability.investigation.split import DISCREPANCY
 from identifiability.joint.effects import Effect
 from identifiability.joint.parameters import with_unit
 
@@ -64,7 +61,7 @@ class Ranked:
     doubt : str
         Why they are more likely those of another effect: taken where no other is admitted.
     refitted : float or None
-        Evidence with the held-out trials fitted too, where only these speak against a rival: they
+        Split with the held-out trials fitted too, where only these speak against a rival: they
         may then move its parameters as far as the fitted trials leave them open.
     """
 
@@ -144,7 +141,7 @@ class Gate:
         return Ranked(key, candidate, gain, held, not reason, reason, objection, doubt)
 
     def _held_out_agrees(self, candidate: Candidate, current: Candidate, held: float) -> bool:
-        if not self.bench.evidence.held_out:
+        if not self.bench.split.held_out:
             return True
         fit_gain = np.log(current.fitted.weighted / candidate.fitted.weighted)
         # A quarter of the gain, less what chance may take away from it.
@@ -173,11 +170,11 @@ class Gate:
 
     def _near_noise(self, candidate: Candidate, margins: float = 1) -> bool:
         """Whether the pooled error is within so many margins of the noise floor's uncertainty."""
-        evidence = self.bench.evidence
-        floor = evidence.noise_floor((*evidence.fitted, *evidence.held_out))
+        split = self.bench.split
+        floor = split.noise_floor((*split.fitted, *split.held_out))
         if floor is None:
             return self.at_floor(candidate)
-        margin = min(3 * evidence.floor_uncertainty(), 0.3)
+        margin = min(3 * split.floor_uncertainty(), 0.3)
         return pooled_error(candidate) <= floor * (1 + margins * margin)
 
     def _matters(self, candidate: Candidate, current: Candidate) -> bool:
@@ -186,9 +183,9 @@ class Gate:
         No equation is exact, and with enough data the evidence for mending one with another is
         always decisive. What is left near the noise floor is not judged by its share.
         """
-        evidence = self.bench.evidence
-        everything = (*evidence.fitted, *evidence.held_out)
-        floor = evidence.noise_floor(everything)
+        split = self.bench.split
+        everything = (*split.fitted, *split.held_out)
+        floor = split.noise_floor(everything)
         before, after = (pooled_error(c) for c in (current, candidate))
         if floor is None:
             return after < (1 - _SHARE_UNKNOWN_NOISE) * before
@@ -198,10 +195,10 @@ class Gate:
 
     def at_floor(self, candidate: Candidate) -> bool:
         """Whether a model leaves no more than the noise does, or an error of measurement may."""
-        floor = self.bench.evidence.noise_floor()
+        floor = self.bench.split.noise_floor()
         if floor is None:
             return candidate.fitted.error <= DISCREPANCY
-        slack = 2 * self.bench.evidence.floor_uncertainty()
+        slack = 2 * self.bench.split.floor_uncertainty()
         return candidate.fitted.error <= floor * (1 + min(slack, 0.3))
 
 
@@ -238,7 +235,7 @@ def predictive_evidence(larger: Candidate, smaller: Candidate) -> float:
 
 
 def total_evidence(larger: Candidate, smaller: Candidate, best: Candidate) -> float:
-    """Evidence of the fitted trials, and of the held-out ones."""
+    """Split of the fitted trials, and of the held-out ones."""
     return evidence_for(larger, smaller, best) + predictive_evidence(larger, smaller)
 
 

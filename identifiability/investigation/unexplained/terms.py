@@ -12,8 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import fftconvolve
 
-from identifiability.investigation.library_free.linear_gaussian import side_by_side, square_root
-from identifiability.investigation.library_free.traces import Response, Trace
+from identifiability.investigation.unexplained.linear_gaussian import side_by_side, square_root
+from identifiability.investigation.unexplained.traces import Response, Trace
 
 _MOST_NODES = 500  # of a torque in time, over all trials
 _TORQUE_NODES, _DRIFT_NODES, _STIFFNESS_NODES = 0.01, 0.03, 0.05  # s between nodes

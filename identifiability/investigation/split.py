@@ -101,7 +101,7 @@ class Ready:
 
 
 @dataclass(frozen=True, eq=False)
-class Evidence:
+class Split:
     """The trials that models are fitted to and those they are judged on.
 
     Attributes
@@ -145,7 +145,7 @@ class Evidence:
             np.ptp(r.trial.torque[: r.lead.n_samples]) > 0 for r in self.fitted if r.lead.n_samples
         )
 
-    def without_leads(self) -> Evidence:
+    def without_leads(self) -> Split:
         """Return the same trials with unknown noise and an unknown level of the response."""
         fitted, held_out = (
             tuple(replace(r, lead=NO_LEAD, has_offset=True) for r in part)
@@ -183,7 +183,7 @@ def gather(
     held_out: Sequence[Trial] = (),
     *,
     lowpass_hz: Lowpass = "auto",
-) -> Evidence:
+) -> Split:
     """Make trials ready, and choose what to hold out where nothing is named.
 
     Held out are whole conditions: of several trials about every third, such that each kind of
@@ -202,7 +202,7 @@ def gather(
 
     Returns
     -------
-    Evidence
+    Split
 
     Raises
     ------
@@ -217,7 +217,7 @@ def gather(
     ready = _ready(everything, lowpass_hz)
     fit, rest = ready[: len(trials)], ready[len(trials) :]
     if rest:
-        return Evidence(tuple(fit), tuple(rest), f"{len(rest)} trials that were named")
+        return Split(tuple(fit), tuple(rest), f"{len(rest)} trials that were named")
     if len(fit) == 1:
         middle = (fit[0].first + fit[0].last) // 2
         parts = replace(fit[0], last=middle), replace(fit[0], first=middle)
@@ -227,14 +227,14 @@ def gather(
                 "several trials, or name some with --hold-out"
             )
         if _beyond(*parts) > 0.5:
-            return Evidence(
+            return Split(
                 parts[1:],
                 parts[:1],
                 "the first half of the record: most of the second lies beyond its angles",
             )
-        return Evidence(parts[:1], parts[1:], "the second half of the record")
+        return Split(parts[:1], parts[1:], "the second half of the record")
     held = _choose_held_out([r.trial for r in fit])
-    return Evidence(
+    return Split(
         tuple(r for i, r in enumerate(fit) if i not in held),
         tuple(r for i, r in enumerate(fit) if i in held),
         f"{len(held)} of {len(fit)} trials, chosen by amplitude",

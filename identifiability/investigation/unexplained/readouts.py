@@ -7,13 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.signal import lfilter
 
-from identifiability.investigation.library_free.explanation import Explainer, Explanation
-from identifiability.investigation.library_free.linear_gaussian import (
+from identifiability.investigation.unexplained.explanation import Explainer, Explanation
+from identifiability.investigation.unexplained.linear_gaussian import (
     eliminate,
     side_by_side,
 )
-from identifiability.investigation.library_free.terms import Term
-from identifiability.investigation.library_free.traces import Response, Trace, inner_products
+from identifiability.investigation.unexplained.terms import Term
+from identifiability.investigation.unexplained.traces import Response, Trace, inner_products
 
 _DRAWS = 200
 _COARSE_DELAYS = np.arange(0.0, 0.1201, 0.006)
@@ -69,7 +69,7 @@ class DelayReadout:
     decay, decay_sd : float
         Time constant of the low-pass [s], and its standard deviation.
     nats : float
-        Evidence for a latency above 0.
+        Split for a latency above 0.
     """
 
     delay: float

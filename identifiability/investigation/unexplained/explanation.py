@@ -9,17 +9,18 @@ from functools import cached_property
 import numpy as np
 from scipy.optimize import minimize
 
-from identifiability.investigation.candidates import Candidate, Workbench
-from identifiability.investigation.library_free.background import Background, background
-from identifiability.investigation.library_free.linear_gaussian import (
+from identifiability.investigation.fits.bench import Workbench
+from identifiability.investigation.fits.candidate import Candidate
+from identifiability.investigation.unexplained.background import Background, background
+from identifiability.investigation.unexplained.linear_gaussian import (
     Columns,
     Posterior,
     TrialNoise,
     log_evidence,
     side_by_side,
 )
-from identifiability.investigation.library_free.terms import Term, Terms
-from identifiability.investigation.library_free.traces import (
+from identifiability.investigation.unexplained.terms import Term, Terms
+from identifiability.investigation.unexplained.traces import (
     Response,
     Trace,
     follow,

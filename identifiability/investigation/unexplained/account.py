@@ -19,15 +19,16 @@ from dataclasses import dataclass
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from identifiability.investigation.candidates import Candidate, Workbench
-from identifiability.investigation.library_free.explanation import (
+from identifiability.investigation.fits.bench import Workbench
+from identifiability.investigation.fits.candidate import Candidate
+from identifiability.investigation.unexplained.explanation import (
     REMAINDER,
     Explainer,
     Explanation,
     Family,
     explainer,
 )
-from identifiability.investigation.library_free.readouts import (
+from identifiability.investigation.unexplained.readouts import (
     DelayReadout,
     MemoryKernel,
     MissingTorque,
@@ -36,7 +37,7 @@ from identifiability.investigation.library_free.readouts import (
     read_delay,
     static_map,
 )
-from identifiability.investigation.library_free.traces import Response, bin_width, binned
+from identifiability.investigation.unexplained.traces import Response, bin_width, binned
 
 DECISIVE = 5.0
 """Difference of log evidence, in nats, that decides between kinds: odds of 150 to 1 where both were

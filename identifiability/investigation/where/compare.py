@@ -16,10 +16,9 @@ from typing import Literal
 import numpy as np
 from scipy import stats
 
-from identifiability.investigation.candidates import Candidate, Workbench
-from identifiability.investigation.evidence import Evidence
-from identifiability.investigation.imposed import Imposed, imposed, starts
-from identifiability.investigation.refits import (
+from identifiability.investigation.fits.bench import Workbench
+from identifiability.investigation.fits.candidate import Candidate
+from identifiability.investigation.fits.refits import (
     NAMES,
     UNITS,
     UNKNOWN_LEVEL,
@@ -29,7 +28,9 @@ from identifiability.investigation.refits import (
     correlation_time,
     without_levels,
 )
-from identifiability.investigation.whitening import Whitening, whitening
+from identifiability.investigation.split import Split
+from identifiability.investigation.where.imposed import Imposed, imposed, starts
+from identifiability.investigation.where.whitening import Whitening, whitening
 
 WINDOWS = (0.05, 0.1, 0.2)
 """Windows T [s] after each perturbation: those of Kistemaker & Rozendaal (2011)."""
@@ -184,14 +185,14 @@ def compare(bench: Workbench, candidate: Candidate) -> Comparison:
     -------
     Comparison
     """
-    evidence = bench.evidence
-    loads = imposed(evidence.fitted)
-    fitter = _Fitter(Refits(bench, candidate), evidence, _noise(evidence, candidate))
+    split = bench.split
+    loads = imposed(split.fitted)
+    fitter = _Fitter(Refits(bench, candidate), split, _noise(split, candidate))
     whole = [
         _Unit(i, 0, ready.last - ready.first, load.amplitude, load.direction, load.kind)
-        for i, (ready, load) in enumerate(zip(evidence.fitted, loads, strict=True))
+        for i, (ready, load) in enumerate(zip(split.fitted, loads, strict=True))
     ]
-    units = _perturbations(evidence) or whole
+    units = _perturbations(split) or whole
     everything = _Group("all", tuple(units))
     overall = fitter.estimate(everything, fitter.refits.fit(fitter.take(everything)))
     aspects = [
@@ -199,7 +200,7 @@ def compare(bench: Workbench, candidate: Candidate) -> Comparison:
         _by_group(fitter, "amplitude", *_amplitudes(units)),
         _by_group(fitter, "direction", *_directions(units)),
         _by_group(fitter, "condition", *_conditions(whole, loads)),
-        _by_group(fitter, "trial", *_trials(whole, evidence)),
+        _by_group(fitter, "trial", *_trials(whole, split)),
     ]
     # What cannot be tested is no test; the others are corrected for their number.
     tested = [i for i, a in enumerate(aspects) if a.groups]
@@ -216,7 +217,7 @@ def compare(bench: Workbench, candidate: Candidate) -> Comparison:
 
 
 def _row(bench: Workbench, candidate: Candidate, i: int, load: Imposed) -> TrialRow:
-    ready, left = bench.evidence.fitted[i], candidate.fitted.by_trial[i]
+    ready, left = bench.split.fitted[i], candidate.fitted.by_trial[i]
     rms = float(np.sqrt(np.mean(left**2)))
     known = ready.lead.n_samples and ready.lead.sd > 0
     return TrialRow(
@@ -232,12 +233,12 @@ def _row(bench: Workbench, candidate: Candidate, i: int, load: Imposed) -> Trial
     )
 
 
-def _noise(evidence: Evidence, candidate: Candidate) -> Whitening:
+def _noise(split: Split, candidate: Candidate) -> Whitening:
     """The noise where it is known; otherwise residuals stay as they are, and weigh as fitted."""
-    found = whitening(evidence.fitted, candidate.fitted)
+    found = whitening(split.fitted, candidate.fitted)
     if found.known:
         return found
-    sds = evidence.weights_sd(evidence.fitted)
+    sds = split.weights_sd(split.fitted)
     return Whitening(False, np.zeros(0), sds, found.dof, np.zeros(sds.size), np.zeros((0, 0)))
 
 
@@ -246,13 +247,13 @@ class _Fitter:
     """Fits K, B and I to groups of samples."""
 
     refits: Refits
-    evidence: Evidence
+    split: Split
     noise: Whitening
 
     def take(self, *groups: _Group, scales: Sequence[float] = ()) -> Take:
         """Samples of the groups, whitened, in units of their weight and of a group's own scale."""
-        parts, noise = self.evidence.fitted, self.noise
-        weights = noise.sds / self.evidence.weights_sd(parts)
+        parts, noise = self.split.fitted, self.noise
+        weights = noise.sds / self.split.weights_sd(parts)
         chosen: list[list[tuple[_Unit, float]]] = [[] for _ in parts]
         for group, scale in zip(groups, scales or [1.0] * len(groups), strict=True):
             for unit in group.units:
@@ -306,7 +307,7 @@ class _Fitter:
         were whitened by a spectrum that is itself an estimate, least certain at the low frequencies
         that K, B and I are seen at.
         """
-        weights = self.noise.sds / self.evidence.weights_sd(self.evidence.fitted)
+        weights = self.noise.sds / self.split.weights_sd(self.split.fitted)
         rows = [r / w for f in found for r, w in zip(f.rows, weights, strict=True)]
         power = sum(float(r @ r) for r in rows) / sum(r.size for r in rows)
         slack = self.noise.slack(np.zeros(1)) / max(power, 1.0) ** 2
@@ -357,7 +358,7 @@ def _by_window(fitter: _Fitter) -> Constancy:
     inv(A) - inv(A') of the difference d (Hausman 1978, Econometrica 46: 1251-1271): a weighted sum
     of chi-squares, which one scaled chi-square of the same mean and variance stands for.
     """
-    groups = _windows(fitter.evidence)
+    groups = _windows(fitter.split)
     if len(groups) < 2:
         shortest, longest = 1000 * WINDOWS[0], 1000 * WINDOWS[-1]
         remark = (
@@ -389,14 +390,14 @@ def _by_window(fitter: _Fitter) -> Constancy:
     return Constancy("window", estimates, statistic, p_value, False, "")
 
 
-def _windows(evidence: Evidence) -> list[_Group]:
+def _windows(split: Split) -> list[_Group]:
     """For each window that fits, the samples within it after the perturbations."""
-    firsts = [starts(ready) for ready in evidence.fitted]
+    firsts = [starts(ready) for ready in split.fitted]
     fitting: list[float] = []
     units: dict[float, list[_Unit]] = {}
     for window in WINDOWS:
         units[window] = []
-        for i, (ready, onsets) in enumerate(zip(evidence.fitted, firsts, strict=True)):
+        for i, (ready, onsets) in enumerate(zip(split.fitted, firsts, strict=True)):
             length = round(window / ready.drive.interval)
             ends = [*onsets[1:], ready.last - ready.first]
             for onset, end in zip(onsets, ends, strict=True):
@@ -415,10 +416,10 @@ def _windows(evidence: Evidence) -> list[_Group]:
     ]
 
 
-def _perturbations(evidence: Evidence) -> list[_Unit]:
+def _perturbations(split: Split) -> list[_Unit]:
     """The single perturbations of long records, where every trial is one; otherwise nothing."""
     units = []
-    for i, ready in enumerate(evidence.fitted):
+    for i, ready in enumerate(split.fitted):
         onsets = starts(ready)
         if onsets.size < _MANY:
             return []
@@ -513,8 +514,8 @@ def _conditions(units: Sequence[_Unit], loads: Sequence[Imposed]) -> tuple[list[
     return groups, ""
 
 
-def _trials(units: Sequence[_Unit], evidence: Evidence) -> tuple[list[_Group], str]:
-    groups = [_Group(evidence.fitted[u.trial].name, (u,)) for u in units]
+def _trials(units: Sequence[_Unit], split: Split) -> tuple[list[_Group], str]:
+    groups = [_Group(split.fitted[u.trial].name, (u,)) for u in units]
     if len(groups) < 2:
         return [], "There is one trial, so K, B and I cannot change from trial to trial."
     return groups, ""

@@ -18,9 +18,10 @@ import numpy as np
 from scipy.signal import fftconvolve
 
 from identifiability.inference.problem import Problem
-from identifiability.investigation.candidates import Candidate, Workbench
-from identifiability.investigation.evidence import Ready
-from identifiability.investigation.library_free.linear_gaussian import Columns
+from identifiability.investigation.fits.bench import Workbench
+from identifiability.investigation.fits.candidate import Candidate
+from identifiability.investigation.split import Ready
+from identifiability.investigation.unexplained.linear_gaussian import Columns
 from identifiability.joint.model import KBI, Model
 from identifiability.joint.response import simulate
 from identifiability.measurement.perturbations import SampledTorque
@@ -94,12 +95,12 @@ class Response:
 
 def traces_of(bench: Workbench, candidate: Candidate) -> tuple[list[Trace], Response]:
     """Fitted trials as a candidate leaves them; the motion is still the predicted one."""
-    evidence, model = bench.evidence, candidate.model
-    problem = bench.problem(model, evidence.fitted, refined=candidate.refined)
+    split, model = bench.split, candidate.model
+    problem = bench.problem(model, split.fitted, refined=candidate.refined)
     nuisances = _jacobians(bench, problem, candidate)
     traces = []
     for ready, residual, nuisance in zip(
-        evidence.fitted, candidate.fitted.by_trial, nuisances, strict=True
+        split.fitted, candidate.fitted.by_trial, nuisances, strict=True
     ):
         signals = ready.drive.signals[ready.first : ready.last]
         trace = Trace(
@@ -116,11 +117,11 @@ def traces_of(bench: Workbench, candidate: Candidate) -> tuple[list[Trace], Resp
 
 def _jacobians(bench: Workbench, problem: Problem, candidate: Candidate) -> list[np.ndarray]:
     """Derivatives of each trial's response at the compared samples, pieces put together."""
-    evidence = bench.evidence
+    split = bench.split
     theta = candidate.model.vector(candidate.values)[list(problem.free)]
-    white = problem.jacobian(theta).reshape(*evidence.room, -1)
+    white = problem.jacobian(theta).reshape(*split.room, -1)
     out, row = [], 0
-    for ready, sd in zip(evidence.fitted, evidence.weights_sd(evidence.fitted), strict=True):
+    for ready, sd in zip(split.fitted, split.weights_sd(split.fitted), strict=True):
         collected: list[np.ndarray] = []
         while sum(len(c) for c in collected) < ready.last - ready.first:
             compared = problem.observations[row].scale > 0

@@ -1,1 +1,0 @@
-"""What is left, explained by Gaussian processes that no named effect stands behind."""

@@ -1,0 +1,1 @@
+"""The torque that a model lacks and its kind, with no effect named: Gaussian processes."""
