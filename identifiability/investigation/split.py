@@ -15,6 +15,7 @@ import numpy as np
 from identifiability.errors import InputError
 from identifiability.inference.problem import Observation, observe
 from identifiability.inference.recordings import integrated_autocorrelation
+from identifiability.investigation.rules import Rules
 from identifiability.measurement.filtering import Lowpass, cutoff, smooth
 from identifiability.measurement.noise import Noise
 from identifiability.measurement.perturbations import Drive, SampledTorque, imposed_motion
@@ -23,10 +24,6 @@ from identifiability.measurement.trials import Trial, onsets, quiet_lead
 _LEAD_SAMPLES = 20  # a shorter lead says too little about the noise
 _LONGEST, _WARM_UP = 4096, 1.0  # samples of a piece; seconds in which a piece forgets its start
 _ROUND = 64  # lengths are padded to a multiple, so that compiled programs serve many data sets
-DISCREPANCY = 1e-3
-"""Share of a trial's mean square that is added to its noise variance in the weights: the paper's
-dE. It keeps a nearly noiseless trial from deciding alone against models that are never exact. Where
-the noise is not known it stands for it: no further effect is added to a model that leaves less."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,11 +106,14 @@ class Split:
     fitted, held_out : tuple of Ready
     how_held_out : str
         In words, which part was held out.
+    rules : Rules
+        Conventions that everything after goes by.
     """
 
     fitted: tuple[Ready, ...]
     held_out: tuple[Ready, ...]
     how_held_out: str
+    rules: Rules
 
     @property
     def driven(self) -> str:
@@ -161,7 +161,9 @@ class Split:
 
     def weights_sd(self, part: Sequence[Ready]) -> np.ndarray:
         """Standard deviation that each trial's residual is measured in, shape (n_trials,)."""
-        return np.array([np.sqrt(r.lead.sd**2 + DISCREPANCY * r.mean_square) for r in part])
+        return np.array(
+            [np.sqrt(r.lead.sd**2 + self.rules.discrepancy * r.mean_square) for r in part]
+        )
 
     def observations(self, part: Sequence[Ready]) -> list[Observation]:
         """Observations of a part, long records cut into pieces that can be computed together."""
@@ -183,6 +185,7 @@ def gather(
     held_out: Sequence[Trial] = (),
     *,
     lowpass_hz: Lowpass = "auto",
+    rules: Rules | None = None,
 ) -> Split:
     """Make trials ready, and choose what to hold out where nothing is named.
 
@@ -199,6 +202,8 @@ def gather(
         Trials that no model is fitted to.
     lowpass_hz : float, "auto" or None
         Zero-phase low-pass where the angle is imposed: see `cutoff`.
+    rules : Rules, optional
+        Conventions that everything after goes by.
 
     Returns
     -------
@@ -214,10 +219,11 @@ def gather(
     everything = [*trials, *held_out]
     if len({t.driven for t in everything}) > 1:
         raise InputError("found torque- and angle-driven trials together; investigate one kind")
+    rules = Rules() if rules is None else rules
     ready = _ready(everything, lowpass_hz)
     fit, rest = ready[: len(trials)], ready[len(trials) :]
     if rest:
-        return Split(tuple(fit), tuple(rest), f"{len(rest)} trials that were named")
+        return Split(tuple(fit), tuple(rest), f"{len(rest)} trials that were named", rules)
     if len(fit) == 1:
         middle = (fit[0].first + fit[0].last) // 2
         parts = replace(fit[0], last=middle), replace(fit[0], first=middle)
@@ -231,13 +237,15 @@ def gather(
                 parts[1:],
                 parts[:1],
                 "the first half of the record: most of the second lies beyond its angles",
+                rules,
             )
-        return Split(parts[:1], parts[1:], "the second half of the record")
+        return Split(parts[:1], parts[1:], "the second half of the record", rules)
     held = _choose_held_out([r.trial for r in fit])
     return Split(
         tuple(r for i, r in enumerate(fit) if i not in held),
         tuple(r for i, r in enumerate(fit) if i in held),
         f"{len(held)} of {len(fit)} trials, chosen by amplitude",
+        rules,
     )
 
 

@@ -12,6 +12,7 @@ from identifiability.errors import InputError
 from identifiability.inference.fitting import Fit, at_bounds, explore
 from identifiability.inference.problem import Observation, Prior, Problem
 from identifiability.investigation.fits.candidate import NOTHING, Candidate, Residual
+from identifiability.investigation.rules import Rules
 from identifiability.investigation.split import Ready, Split
 from identifiability.joint.model import Model
 
@@ -37,6 +38,11 @@ class Workbench:
     _observations: dict[int, list[Observation]] = field(
         default_factory=dict, init=False, repr=False
     )
+
+    @property
+    def rules(self) -> Rules:
+        """Conventions that everything goes by."""
+        return self.split.rules
 
     def problem(
         self, model: Model, part: Sequence[Ready], *, refined: Sequence[str] = ()

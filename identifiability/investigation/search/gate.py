@@ -18,7 +18,6 @@ import numpy as np
 from identifiability.investigation.fits.bench import Workbench
 from identifiability.investigation.fits.candidate import Candidate
 from identifiability.investigation.fits.independent import difference, effective_samples
-from identifiability.investigation.split import DISCREPANCY
 from identifiability.joint.effects import Effect
 from identifiability.joint.parameters import with_unit
 
@@ -197,7 +196,7 @@ class Gate:
         """Whether a model leaves no more than the noise does, or an error of measurement may."""
         floor = self.bench.split.noise_floor()
         if floor is None:
-            return candidate.fitted.error <= DISCREPANCY
+            return candidate.fitted.error <= self.bench.rules.discrepancy
         slack = 2 * self.bench.split.floor_uncertainty()
         return candidate.fitted.error <= floor * (1 + min(slack, 0.3))
 

@@ -23,7 +23,6 @@ from identifiability.investigation.search.gate import (
     pooled_error,
     total_evidence,
 )
-from identifiability.investigation.split import DISCREPANCY
 from identifiability.joint.effects import (
     EFFECTS,
     Effect,
@@ -191,9 +190,8 @@ class Searcher:
     def _reached(self) -> str:
         if self.bench.split.has_noise:
             return "the error reached the noise floor"
-        return (
-            f"the noise is not known, and an error below {DISCREPANCY:g} may be one of measurement"
-        )
+        error = self.bench.rules.discrepancy
+        return f"the noise is not known, and an error below {error:g} may be one of measurement"
 
     def rank(self, current: Candidate) -> Ranking:
         """Add every effect of the library to a model, refit, and rank."""
