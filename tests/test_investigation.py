@@ -83,7 +83,7 @@ def _positive(angle):
     return jnp.maximum(angle, 0.0)
 
 
-# Split
+# Evidence
 
 
 def test_held_out_trials_are_chosen_by_amplitude():
