@@ -47,7 +47,7 @@ class Missing:
     could_be : tuple of str
         Keys of the effects that the data do not tell from it, it included, best name first.
     near : tuple of str
-        Those of them that leave a little more, no more than inexact equations may hide.
+        Those of them that the data speak against, but no more than inexact equations may hide.
     share : float or None
         Share of the baseline's misfit that it removes in its turn, on held-out trials where there
         are any.

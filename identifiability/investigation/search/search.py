@@ -180,7 +180,7 @@ class _Search:
         self, final: Candidate, rankings: Sequence[Ranking], exact: bool
     ) -> tuple[Missing, ...]:
         """One record for each effect of the final model, in the order of the error ladder."""
-        library, split = self.ranker.library, self.ranker.bench.split
+        library, gate, split = self.ranker.library, self.ranker.gate, self.ranker.bench.split
         out: list[Missing] = []
         before: float | None = 0.0
         for key, rung in self._ladder(final):
@@ -189,11 +189,13 @@ class _Search:
             near = tuple(
                 r.key
                 for r in rivals
-                if not exact and comes_near(final, without, r, split.rules.form)
+                if not exact
+                and not gate.does_as_well(r, final)
+                and comes_near(final, without, r, split.rules.form)
             )
             removed = removed_share(split, self.baseline, rung)
             share = None if removed is None or before is None else removed - before
-            equals = could_be(key, final, rivals, near, self.ranker.gate, library)
+            equals = could_be(key, final, rivals, near, gate, library)
             effect = final.model.effect(key)
             out.append(Missing(effect, rung, without, rivals, equals, near, share))
             before = removed
