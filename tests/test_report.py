@@ -158,7 +158,7 @@ def test_every_row_of_a_ranking_lies_within_its_axes(quiet_study):
             ("gravity", with_effect(failed, "gravity"), -np.inf),
         )
     )
-    axes = ranking_figure(Ranking(base, ranking, ""), 10.0).axes[0]
+    axes = ranking_figure(Ranking(base, ranking, "", 10.0)).axes[0]
     texts = [t for t in axes.texts if t.get_text()]
     assert [t.get_text() for t in texts][1:] == ["E held out diverges", "no fit"]
     low, high = sorted(axes.get_ylim())

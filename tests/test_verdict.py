@@ -74,7 +74,7 @@ def findings(
     }
     found = Found(
         base,
-        (Ranking(final, tuple(refused), ""),),
+        (Ranking(final, tuple(refused), "", RULES.decisive),),
         final,
         missing_of(split, base, final, tried, exact),
         removed_share(split, base, final),

@@ -22,14 +22,12 @@ def error_text(error: float, digits: int = 3) -> str:
     return f"{error:.{digits}g}" if error < _DIVERGED else "diverges"
 
 
-def ranking_figure(ranking: Ranking, decisive: float, members: Sequence[str] = ()) -> Figure:
+def ranking_figure(ranking: Ranking, members: Sequence[str] = ()) -> Figure:
     """Evidence of every candidate beside one model, physics and measurement in two colours.
 
     Parameters
     ----------
     ranking : Ranking
-    decisive : float
-        Evidence that counts as decisive.
     members : sequence of str
         Effects that cannot be told apart from the one that was chosen.
 
@@ -76,13 +74,13 @@ def ranking_figure(ranking: Ranking, decisive: float, members: Sequence[str] = (
                 fontsize=9,
                 color=VERMILLION,
             )
-        axes.axvline(decisive, color=GREY, lw=1, ls="--", zorder=0)
+        axes.axvline(ranking.decisive, color=GREY, lw=1, ls="--", zorder=0)
         axes.set_yticks(
             range(len(ranking.ranked)), [r.key.replace("_", " ") for r in (*ranked, *failed)]
         )
         axes.set_ylim(len(ranking.ranked) - 0.4, -0.6)
         axes.set_xscale("log")
-        top = max([r.evidence for r in ranked] + [10 * decisive])
+        top = max([r.evidence for r in ranked] + [10 * ranking.decisive])
         axes.set_xlim(_FEWEST, top**1.5)
         before = ", ".join(k.replace("_", " ") for k in ranking.before.keys) or "K, B, I alone"
         axes.set_xlabel(

@@ -144,17 +144,17 @@ def _where(page: Page, figures: _Figures, findings: Findings) -> None:
 
 
 def _which(page: Page, figures: _Figures, findings: Findings) -> None:
-    found, rules = findings.found, findings.split.rules
+    found = findings.found
     members = {m.key: m.could_be for m in found.missing}
     page.heading("Which effect is missing")
     for number, ranking in enumerate(found.rankings, 1):
         figures.show(
             f"ranking_{number}",
             lambda ranking=ranking: ranking_figure(  # type: ignore[misc]
-                ranking, rules.decisive, members.get(ranking.chosen, ())
+                ranking, members.get(ranking.chosen, ())
             ),
             f"Step {number}: every effect added to the model and fitted anew. Evidence above "
-            f"{rules.decisive:.0f} is decisive; an effect is admitted if the held-out trials "
+            f"{ranking.decisive:.0f} is decisive; an effect is admitted if the held-out trials "
             "agree.",
         )
         _ranking_table(page, ranking)

@@ -20,6 +20,8 @@ class Ranking:
         All candidates, best first.
     chosen : str
         Effect that was added, empty where none was admitted.
+    decisive : float
+        Evidence that was asked for.
     screened_out : tuple of str
         Effects that were not fitted, because their signature is not in the residual.
     """
@@ -27,6 +29,7 @@ class Ranking:
     before: Candidate
     ranked: tuple[Ranked, ...]
     chosen: str
+    decisive: float
     screened_out: tuple[str, ...] = ()
 
 

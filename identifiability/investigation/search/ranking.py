@@ -63,7 +63,8 @@ class Ranker:
         fitted = self.fit_all(f"adding to {_named(current)}", jobs, current)
         ranked = self._refine(self.judge_all(fitted, current), current)
         chosen = self._choose([r for r in ranked if r.passes])
-        return Ranking(current, tuple(ranked), chosen, tuple(k for k in keys if k not in kept))
+        left_out = tuple(k for k in keys if k not in kept)
+        return Ranking(current, tuple(ranked), chosen, self.bench.rules.decisive, left_out)
 
     def _choose(self, admitted: Sequence[Ranked]) -> str:
         """Effect to add: the best, or the plainest where the noise is unknown and many do."""
