@@ -610,7 +610,7 @@ def test_the_command_finds_a_hidden_effect(tmp_path, capsys):
     ("arguments", "message"),
     [
         (["missing.csv"], "missing.csv"),
-        (["."], "no CSV file"),
+        (["."], "found none of .csv"),
     ],
 )
 def test_bad_input_is_one_sentence(arguments, message, tmp_path, monkeypatch, capsys):
