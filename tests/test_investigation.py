@@ -10,9 +10,9 @@ from identifiability.benchmark.cases import hidden_cases
 from identifiability.benchmark.score import matched, outcome_of, wilson
 from identifiability.cli.main import main
 from identifiability.errors import InputError
+from identifiability.inference.starts import starting_values
 from identifiability.investigation.fits.bench import Workbench, owners
 from identifiability.investigation.fits.candidate import NOTHING, Candidate, Residual
-from identifiability.investigation.fits.starts import starting_values
 from identifiability.investigation.investigate import Investigation
 from identifiability.investigation.search.equivalence import equivalence_set
 from identifiability.investigation.search.gate import DECISIVE, Gate, Ranked, only_held_out_objects

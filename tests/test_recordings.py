@@ -12,15 +12,14 @@ from identifiability.inference.problem import Prior
 from identifiability.inference.recordings import (
     fit_recordings,
     goodness,
-    integrated_autocorrelation,
-    prepare,
     recording_problem,
     whole,
     windows,
 )
 from identifiability.joint.model import KBI
 from identifiability.measurement import example
-from identifiability.measurement.noise import Noise
+from identifiability.measurement.noise import Noise, correlation_time
+from identifiability.measurement.prepared import prepare
 from identifiability.measurement.trials import Trial
 
 K, B, INERTIA = 60.0, 1.2, 0.08
@@ -62,7 +61,7 @@ def test_imposed_angle_windows_agree_with_the_whole(angle_fit):
 def test_a_wrong_sign_of_the_torque_is_not_fitted():
     trial = imposed_angle_trial(0.05)
     wrong = Trial(trial.time, -trial.torque, trial.angle, driven="angle")
-    prepared = prepare(wrong, KBI())
+    (prepared,) = prepare([wrong])
     problem = recording_problem(
         [prepared], [whole(prepared)], model=KBI(), prior=Prior.physical(KBI())
     )
@@ -89,7 +88,7 @@ def test_example_windows_contradict_each_other():
 
 
 def test_window_selection_skips_windows_that_overlap_the_next_perturbation():
-    prepared = prepare(imposed_angle_trial(0.0), KBI())
+    (prepared,) = prepare([imposed_angle_trial(0.0)])
     fitting = windows(prepared, 0.2)
     assert fitting.stretches == 19
     with pytest.raises(ValueError, match="choose a shorter window"):
@@ -97,11 +96,11 @@ def test_window_selection_skips_windows_that_overlap_the_next_perturbation():
 
 
 @pytest.mark.parametrize("time", [0.0, 0.004, 0.02])
-def test_integrated_autocorrelation_of_known_noise(time):
+def test_correlation_time_of_known_noise(time):
     noise = Noise(1.0, time)
     rho = noise.lag_correlation(1e-3)
     expected = (1 + rho) / (1 - rho)
-    found = integrated_autocorrelation(noise.draw(200_000, 1e-3, seed=5))
+    found = correlation_time(noise.draw(200_000, 1e-3, seed=5))
     # The window of the sum leaves out e^-5 of it; the rest is scatter.
     assert found == pytest.approx(expected, rel=0.12)
 
@@ -114,7 +113,7 @@ def test_ankle(shared_data, tmp_path):
     assert main(["fit", path, *options, "--out", str(tmp_path)]) == 0
     record = json.loads((tmp_path / "fit.json").read_text())
     held_out = record["held_out"]
-    assert held_out["held_out"] == "the second half"
+    assert held_out["rule"] == "second half"
     assert 85 < held_out["vaf_held_out"] < 88.5
     assert 0.015 < held_out["parameters"]["I"] < 0.0175
 

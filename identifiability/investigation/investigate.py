@@ -13,7 +13,7 @@ from threadpoolctl import threadpool_limits
 
 from identifiability.errors import InputError
 from identifiability.inference.problem import Prior
-from identifiability.inference.recordings import first_guess, integrated_autocorrelation
+from identifiability.inference.starts import first_guess
 from identifiability.inference.widths import Widths, widths
 from identifiability.investigation.fits.bench import Workbench, owners
 from identifiability.investigation.fits.candidate import Candidate
@@ -30,6 +30,7 @@ from identifiability.investigation.where.locate import Location, locate
 from identifiability.joint.effects import EFFECTS, Effect
 from identifiability.joint.model import KBI, Model
 from identifiability.measurement.filtering import Lowpass
+from identifiability.measurement.noise import correlation_time
 from identifiability.measurement.trials import Trial
 
 _MOVING = (
@@ -202,7 +203,7 @@ class Investigation:
         """
         problem = self.bench.problem(candidate.model, self.split.fitted, refined=candidate.refined)
         noises = [
-            float(np.sqrt(np.mean(left**2) * integrated_autocorrelation(left)))
+            float(np.sqrt(np.mean(left**2) * correlation_time(left - left.mean())))
             for left in candidate.fitted.by_trial
         ]
         sharpened = self.split.weights_sd(self.split.fitted) / np.maximum(noises, 1e-300)
