@@ -1,19 +1,13 @@
 """One preparation of trials for every command: level, lead, filter, decimation, hold-out."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from scipy import signal
 
-from identifiability.cli.fit import record as fit_record
 from identifiability.errors import InputError
-from identifiability.inference.recordings import fit_recordings
-from identifiability.investigation.investigate import Investigation
 from identifiability.investigation.split import gather
-from identifiability.joint.model import KBI
-from identifiability.measurement.example import example_trials
 from identifiability.measurement.noise import Noise
 from identifiability.measurement.prepared import LEAD_SAMPLES, NO_LEAD, prepare
 from identifiability.measurement.splitting import hold_out
@@ -46,44 +40,6 @@ def pulse(lead=0.05, level=0.0, torque_level=0.0, noise=1e-4, seed=1, size=8.0, 
     angle = 0.01 * size * np.exp(-8 * after) * np.sin(25 * after)
     angle += noise * np.random.default_rng(seed).standard_normal(time.size)
     return Trial(time, torque + torque_level, angle + level)
-
-
-@pytest.mark.parametrize("trials", [example_trials, lambda: [servo()]], ids=["torque", "angle"])
-def test_both_commands_see_the_same_numbers(trials):
-    trials = trials()
-    fitted = fit_recordings(trials)
-    study = Investigation(trials)
-    split = study.split
-    parts = (*split.fitted, *split.held_out)
-    assert {p.name for p in fitted.prepared} == {p.name for p in parts}
-    ours = {p.name: p for p in fitted.prepared}
-    for theirs in parts:
-        mine = ours[theirs.name]
-        np.testing.assert_array_equal(mine.response, theirs.response)
-        np.testing.assert_array_equal(mine.drive.states, theirs.drive.states)
-        np.testing.assert_array_equal(mine.onsets, theirs.onsets)
-        assert mine.interval == theirs.interval
-        assert mine.recorded_lead == theirs.recorded_lead
-        assert mine.treatment == theirs.treatment
-        assert mine.has_offset == theirs.has_offset
-    # The same samples are held out, and K, B, I of the others agree: one trial's weight is no
-    # matter.
-    held = fitted.held_out
-    assert held.held_out == split.how_held_out
-    (part,) = split.fitted
-    assert held.goodness_fitted.n_samples == part.last - part.first
-    candidate = study.fit(KBI())
-    for name in ("K", "B", "I"):
-        assert held.fit[name] == pytest.approx(candidate.values[name], rel=1e-4)
-    assert held.goodness_fitted.error == pytest.approx(candidate.fitted.error, rel=1e-6)
-    assert held.goodness_held_out.error == pytest.approx(candidate.held_out.error, rel=1e-3)
-    # Both write it down, in the same words.
-    written = json.loads(json.dumps(fit_record(fitted)))["trials"]
-    of_part = json.loads(json.dumps(part.record()))
-    same = next(t for t in written if t["name"] == part.name)
-    assert same["notes"] == of_part["notes"]
-    for key in ("level", "lowpass_hz", "decimation", "lead"):
-        assert same["preparation"][key] == of_part["preparation"][key]
 
 
 def test_a_level_that_the_leads_scatter_explains_is_left():

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from identifiability.cli.fit import record as record_of
 from identifiability.cli.main import main
 from identifiability.inference.fitting import fit
 from identifiability.inference.problem import Prior
@@ -16,6 +17,7 @@ from identifiability.inference.recordings import (
     whole,
     windows,
 )
+from identifiability.investigation.investigate import Investigation
 from identifiability.joint.model import KBI
 from identifiability.measurement import example
 from identifiability.measurement.noise import Noise, correlation_time
@@ -80,11 +82,56 @@ def test_example_trials_are_what_their_generator_writes(tmp_path):
         np.testing.assert_allclose(trial.angle, made[:, 2], atol=2e-6)
 
 
-def test_example_windows_contradict_each_other():
-    result = fit_recordings(example.example_trials(), window_lengths=[0.1, 0.2], seed=1)
-    short, long = (w.widths["K"].posterior_95 for w in result.windows)
+@pytest.fixture(scope="module")
+def example_fit():
+    return fit_recordings(example.example_trials(), window_lengths=[0.1, 0.2], seed=1)
+
+
+def test_example_windows_contradict_each_other(example_fit):
+    short, long = (w.widths["K"].posterior_95 for w in example_fit.windows)
     assert short[0] > long[1]
-    assert result.goodness.vaf > 98
+    assert example_fit.goodness.vaf > 98
+
+
+@pytest.mark.parametrize(
+    ("trials", "fitted"),
+    [(example.example_trials, "example_fit"), (lambda: [imposed_angle_trial(0.05)], "angle_fit")],
+    ids=["torque", "angle"],
+)
+def test_both_commands_see_the_same_numbers(trials, fitted, request):
+    fitted = request.getfixturevalue(fitted)
+    study = Investigation(trials())
+    split = study.split
+    parts = (*split.fitted, *split.held_out)
+    assert {p.name for p in fitted.prepared} == {p.name for p in parts}
+    ours = {p.name: p for p in fitted.prepared}
+    for theirs in parts:
+        mine = ours[theirs.name]
+        np.testing.assert_array_equal(mine.response, theirs.response)
+        np.testing.assert_array_equal(mine.drive.states, theirs.drive.states)
+        np.testing.assert_array_equal(mine.onsets, theirs.onsets)
+        assert mine.interval == theirs.interval
+        assert mine.recorded_lead == theirs.recorded_lead
+        assert mine.treatment == theirs.treatment
+        assert mine.has_offset == theirs.has_offset
+    # The same samples are held out, and K, B, I of the others agree: one trial's weight is no
+    # matter.
+    held = fitted.held_out
+    assert held.held_out == split.how_held_out
+    (part,) = split.fitted
+    assert held.goodness_fitted.n_samples == part.last - part.first
+    candidate = study.fit(KBI())
+    for name in ("K", "B", "I"):
+        assert held.fit[name] == pytest.approx(candidate.values[name], rel=1e-4)
+    assert held.goodness_fitted.error == pytest.approx(candidate.fitted.error, rel=1e-6)
+    assert held.goodness_held_out.error == pytest.approx(candidate.held_out.error, rel=1e-3)
+    # Both write it down, in the same words.
+    written = json.loads(json.dumps(record_of(fitted)))["trials"]
+    of_part = json.loads(json.dumps(part.record()))
+    same = next(t for t in written if t["name"] == part.name)
+    assert same["notes"] == of_part["notes"]
+    for key in ("level", "lowpass_hz", "decimation", "lead"):
+        assert same["preparation"][key] == of_part["preparation"][key]
 
 
 def test_window_selection_skips_windows_that_overlap_the_next_perturbation():
