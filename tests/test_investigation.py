@@ -11,9 +11,9 @@ from identifiability.benchmark.cases import hidden_cases
 from identifiability.benchmark.score import matched, outcome_of, wilson
 from identifiability.cli.main import main
 from identifiability.errors import InputError
+from identifiability.inference.starts import starting_values
 from identifiability.investigation.fits.bench import Workbench, owners
 from identifiability.investigation.fits.candidate import NOTHING, Candidate, Residual
-from identifiability.investigation.fits.starts import starting_values
 from identifiability.investigation.rules import Rules
 from identifiability.investigation.search.equivalence import comes_near, could_be
 from identifiability.investigation.search.fitter import Fitter
@@ -603,7 +603,7 @@ def test_the_command_finds_a_hidden_effect(tmp_path, capsys):
     ("arguments", "message"),
     [
         (["missing.csv"], "missing.csv"),
-        (["."], "no CSV file"),
+        (["."], "found none of .csv"),
     ],
 )
 def test_bad_input_is_one_sentence(arguments, message, tmp_path, monkeypatch, capsys):

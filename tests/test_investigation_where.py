@@ -7,10 +7,10 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from scipy import stats
 
+from identifiability.inference.starts import starting_values
 from identifiability.investigation.fits.bench import Workbench
 from identifiability.investigation.fits.candidate import NOTHING
 from identifiability.investigation.fits.refits import Refits, correlation_time, without_levels
-from identifiability.investigation.fits.starts import starting_values
 from identifiability.investigation.split import gather
 from identifiability.investigation.where.compare import compare
 from identifiability.investigation.where.imposed import imposed, starts

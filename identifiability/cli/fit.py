@@ -17,7 +17,13 @@ if TYPE_CHECKING:
 
 def add_file_options(parser: argparse.ArgumentParser) -> None:
     """Add the options that say how files of trials are read."""
-    parser.add_argument("files", nargs="+", type=Path, metavar="FILE", help="CSV or MATLAB .mat")
+    parser.add_argument(
+        "files",
+        nargs="+",
+        type=Path,
+        metavar="FILE",
+        help="text or MATLAB .mat, or folders of them",
+    )
     parser.add_argument(
         "--columns",
         nargs="+",
@@ -53,8 +59,7 @@ def add_lowpass_option(parser: argparse.ArgumentParser) -> None:
 
 def read_trials(options: argparse.Namespace, files: Sequence[Path] | None = None) -> list[Trial]:
     """Read the trials that the file options name, or those in other files, read alike."""
-    from identifiability.measurement.columns import parse_columns
-    from identifiability.measurement.readers import read_trial
+    from identifiability.measurement.readers import parse_columns, read_trial, readable_files
 
     columns = parse_columns(options.columns) if options.columns else None
     return [
@@ -66,7 +71,7 @@ def read_trials(options: argparse.Namespace, files: Sequence[Path] | None = None
             restoring=options.restoring,
             driven=options.driven,
         )
-        for path in (options.files if files is None else files)
+        for path in (readable_files(options.files) if files is None else files)
     ]
 
 
@@ -165,13 +170,7 @@ def record(result: RecordingFit) -> dict[str, Any]:
         "driven": result.prepared[0].trial.driven,
         "trials": [
             {
-                "name": p.trial.name,
-                "source": p.trial.source,
-                "sha256": p.trial.sha256,
-                "samples": p.trial.n_samples,
-                "sampling_rate": p.trial.sampling_rate,
-                "perturbations": len(p.onsets),
-                "notes": list(p.trial.notes),
+                **p.record(),
                 "noise_sd": noise.sd * fraction**0.5,
                 "independent_fraction": fraction,
             }
@@ -198,6 +197,7 @@ def record(result: RecordingFit) -> dict[str, Any]:
         else {
             "fitted": held.fitted,
             "held_out": held.held_out,
+            "rule": held.rule,
             "parameters": {n: held.fit[n] for n in held.fit.names},
             "E_fitted": held.goodness_fitted.error,
             "vaf_fitted": held.goodness_fitted.vaf,

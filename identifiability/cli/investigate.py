@@ -69,6 +69,7 @@ def run(options: argparse.Namespace) -> int:
     """Run the subcommand."""
     from identifiability.files import output_folder
     from identifiability.investigation.investigate import investigate
+    from identifiability.measurement.readers import readable_files
 
     if options.seed < 0:
         raise InputError(f"found the seed {options.seed}, expected 0 or more")
@@ -76,8 +77,8 @@ def run(options: argparse.Namespace) -> int:
         raise InputError(f"found --most {options.most}, expected 0 to 3 effects")
     lowpass = parse_lowpass(options.lowpass)
     bounds = parse_bounds(options.bounds)
-    files = _files(options.files)
-    held_files = _files(options.hold_out)
+    files = readable_files(options.files)
+    held_files = readable_files(options.hold_out)
     kept = [f for f in files if f.resolve() not in {h.resolve() for h in held_files}]
     if not kept:
         raise InputError("every file is held out; leave at least one to be fitted")
@@ -147,20 +148,6 @@ def summary(findings: Findings) -> str:
         lines += ["", *map(pinned_words.sentence, loose)]
     lines += [f"note: {warning}" for warning in findings.warnings]
     return "\n".join(lines)
-
-
-def _files(paths: list[Path]) -> list[Path]:
-    """Files as named, folders replaced by the CSV files in them."""
-    found: list[Path] = []
-    for path in paths:
-        if not path.is_dir():
-            found.append(path)
-            continue
-        inside = sorted(path.glob("*.csv"))
-        if not inside:
-            raise InputError(f"found no CSV file in the folder {path}; name files, one a trial")
-        found += inside
-    return found
 
 
 def _limits(texts: list[str], trials: list[Any]) -> Any:

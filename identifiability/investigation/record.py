@@ -14,13 +14,13 @@ from identifiability.investigation.findings import Findings
 from identifiability.investigation.fits.candidate import Candidate
 from identifiability.investigation.next_experiment import NextExperiment
 from identifiability.investigation.search.gate import Ranked
-from identifiability.investigation.split import Ready
 from identifiability.investigation.unexplained.account import Unexplained
 from identifiability.investigation.verdict.pinned import not_pinned_down
 from identifiability.investigation.wording import verdict as wording
 from identifiability.investigation.wording.next_experiment import (
     sentence as next_experiment_sentence,
 )
+from identifiability.measurement.prepared import Prepared
 from identifiability.provenance import package_version
 
 SCHEMA = 1
@@ -116,7 +116,7 @@ def investigation_record(findings: Findings, *, command: str = "") -> dict[str, 
     return written
 
 
-def data_hash(trials: Sequence[Ready]) -> str:
+def data_hash(trials: Sequence[Prepared]) -> str:
     """SHA-256 over the files' hashes, or the samples where a trial came from no file."""
     digest = hashlib.sha256()
     for ready in trials:
@@ -188,15 +188,6 @@ def _unexplained(rest: Unexplained | None) -> dict[str, Any] | None:
     }
 
 
-def _trial(ready: Ready, role: str) -> dict[str, Any]:
-    trial = ready.trial
-    return {
-        "name": trial.name,
-        "role": role,
-        "source": trial.source,
-        "sha256": trial.sha256,
-        "samples": ready.last - ready.first,
-        "sampling_rate": trial.sampling_rate,
-        "noise_sd": ready.lead.sd if ready.lead.n_samples else None,
-        "notes": list(trial.notes),
-    }
+def _trial(prepared: Prepared, role: str) -> dict[str, Any]:
+    noise_sd = prepared.lead.sd if prepared.lead.n_samples else None
+    return {**prepared.record(), "role": role, "noise_sd": noise_sd}

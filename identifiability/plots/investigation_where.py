@@ -10,12 +10,13 @@ from matplotlib.figure import Figure
 
 from identifiability.investigation.fits.candidate import Candidate
 from identifiability.investigation.fits.refits import NAMES, UNITS
-from identifiability.investigation.split import Ready, Split
+from identifiability.investigation.split import Split
 from identifiability.investigation.where.by_trial import TrialView
 from identifiability.investigation.where.compare import Comparison, Constancy
 from identifiability.investigation.where.imposed import starts
 from identifiability.investigation.where.in_state import Curve
 from identifiability.investigation.where.locate import Location
+from identifiability.measurement.prepared import Prepared
 from identifiability.plots.style import BLACK, BLUE, GREY, ORANGE, SKY, VERMILLION, styled
 
 _MOST_TRIALS, _COLUMNS = 8, 4
@@ -85,7 +86,7 @@ def responses_figure(split: Split, before: Candidate, after: Candidate | None = 
 
 
 def _overlay(
-    upper: Axes, lower: Axes, ready: Ready, models: Sequence[tuple[Candidate, np.ndarray, str]]
+    upper: Axes, lower: Axes, ready: Prepared, models: Sequence[tuple[Candidate, np.ndarray, str]]
 ) -> None:
     interval = ready.drive.interval
     first = max(0, int(starts(ready)[0]) - round(_BEFORE / interval))

@@ -32,7 +32,7 @@ def overlay_figure(result: RecordingFit) -> Figure:
             torque_driven = prepared.trial.driven == "torque"
             first = max(0, prepared.onsets[0] - round(0.1 / prepared.interval))
             part = slice(first, first + round(_LONGEST / prepared.interval) + 1)
-            time = prepared.time[part]
+            time = prepared.trial.time[part]
             imposed = prepared.drive.signals[part, 0]
             column[0].plot(time, imposed, color=GREY)
             column[1].plot(time, prepared.response[part], color=BLACK, lw=2.4, label="measured")

@@ -8,10 +8,9 @@ import numpy as np
 
 from identifiability.errors import InputError
 from identifiability.inference.problem import Prior
-from identifiability.inference.recordings import first_guess
+from identifiability.inference.starts import first_guess, starting_values
 from identifiability.investigation.fits.bench import Workbench
 from identifiability.investigation.fits.candidate import Candidate
-from identifiability.investigation.fits.starts import starting_values
 from identifiability.joint.model import KBI, Model
 
 _FACTORS = (1.0, 0.3, 3.0)

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from identifiability.inference.recordings import integrated_autocorrelation
 from identifiability.inference.widths import Widths, widths
 from identifiability.investigation.fits.bench import Workbench, owners
 from identifiability.investigation.fits.candidate import Candidate
+from identifiability.measurement.noise import correlation_time
 
 
 def parameter_widths(bench: Workbench, candidate: Candidate, *, seed: int = 1) -> Widths:
@@ -26,7 +26,7 @@ def parameter_widths(bench: Workbench, candidate: Candidate, *, seed: int = 1) -
     split = bench.split
     problem = bench.problem(candidate.model, split.fitted, refined=candidate.refined)
     noises = [
-        float(np.sqrt(np.mean(left**2) * integrated_autocorrelation(left)))
+        float(np.sqrt(np.mean(left**2) * correlation_time(left - left.mean())))
         for left in candidate.fitted.by_trial
     ]
     sharpened = split.weights_sd(split.fitted) / np.maximum(noises, 1e-300)

@@ -8,9 +8,9 @@ from functools import cached_property
 
 import numpy as np
 
+from identifiability.inference.starts import starting_values
 from identifiability.investigation.fits.bench import Workbench
 from identifiability.investigation.fits.candidate import Candidate
-from identifiability.investigation.fits.starts import starting_values
 from identifiability.joint.model import Model
 
 Fits = dict[tuple[tuple[str, ...], tuple[str, ...]], Candidate]

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from identifiability.inference.starts import starting_values
 from identifiability.investigation.fits.bench import Workbench
 from identifiability.investigation.fits.candidate import Candidate
-from identifiability.investigation.fits.starts import starting_values
 from identifiability.investigation.search.criterion import least
 from identifiability.investigation.search.fitter import Fitter, refinable
 from identifiability.investigation.search.found import Ranking

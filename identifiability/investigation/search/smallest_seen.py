@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from identifiability.errors import InputError
+from identifiability.inference.starts import starting_values
 from identifiability.investigation.fits.bench import Workbench
 from identifiability.investigation.fits.candidate import Candidate
 from identifiability.investigation.fits.independent import effective_samples
-from identifiability.investigation.fits.starts import starting_values
 from identifiability.joint.effects.base import Effect
 from identifiability.joint.model import Model
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identifiability.investigation.split import Ready
+from identifiability.measurement.prepared import Prepared
 from identifiability.measurement.trials import onsets
 
 _ALIKE = 0.99  # correlation of imposed signals that are scaled copies of each other
@@ -40,7 +40,7 @@ class Imposed:
     condition: str
 
 
-def imposed(part: Sequence[Ready]) -> tuple[Imposed, ...]:
+def imposed(part: Sequence[Prepared]) -> tuple[Imposed, ...]:
     """Amplitude, direction and kind of every trial."""
     signals = [_signal(ready) for ready in part]
     leaders: list[int] = []
@@ -70,7 +70,7 @@ def imposed(part: Sequence[Ready]) -> tuple[Imposed, ...]:
     )
 
 
-def starts(ready: Ready) -> np.ndarray:
+def starts(ready: Prepared) -> np.ndarray:
     """Compared samples at which a perturbation starts, counted from the first compared one.
 
     Where the torque is imposed only those that find the joint at rest count: after them the
@@ -96,7 +96,7 @@ def starts(ready: Ready) -> np.ndarray:
     return inside if inside.size else np.zeros(1, int)
 
 
-def _signal(ready: Ready) -> tuple[float, np.ndarray]:
+def _signal(ready: Prepared) -> tuple[float, np.ndarray]:
     """Imposed signal from the first onset on, less its value there."""
     values = ready.drive.signals[ready.first : ready.last, 0]
     onset = int(starts(ready)[0])
@@ -119,5 +119,5 @@ def _direction(response: np.ndarray) -> int:
     return 1 if up > down else -1
 
 
-def _like(part: Sequence[Ready], leader: int, n: int) -> str:
+def _like(part: Sequence[Prepared], leader: int, n: int) -> str:
     return part[leader].name if n == 1 else f"like {part[leader].name}"

@@ -9,10 +9,10 @@ import numpy as np
 from scipy import linalg, signal, stats
 
 from identifiability.investigation.fits.refits import correlation_time
-from identifiability.investigation.split import Ready
 from identifiability.investigation.where.compare import probability
 from identifiability.investigation.where.scene import Scene, View
 from identifiability.investigation.where.whitening import Portion, excess
+from identifiability.measurement.prepared import Prepared
 
 _KNOTS, _REACH = 9, 0.995  # of angle and velocity each, an odd number; quantile that they span
 _DETERMINED = 0.03  # least singular value of the regression on torques, relative to the largest
@@ -189,7 +189,7 @@ def _hats(values: np.ndarray, knots: np.ndarray) -> np.ndarray:
     return np.column_stack([np.interp(values, knots, row) for row in np.eye(knots.size)])
 
 
-def _motion(ready: Ready, left: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _motion(ready: Prepared, left: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Angle and velocity at the compared samples; of an imposed torque, as the model has them."""
     if ready.trial.driven == "angle":
         signals = ready.drive.signals[ready.first : ready.last]
@@ -198,7 +198,7 @@ def _motion(ready: Ready, left: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return angle, np.gradient(angle, ready.drive.interval)
 
 
-def _response_to(scene: Scene, ready: Ready, torque: np.ndarray) -> np.ndarray:
+def _response_to(scene: Scene, ready: Prepared, torque: np.ndarray) -> np.ndarray:
     """Change of the response to additional resisting torques, shape (n, k)."""
     if ready.trial.driven == "angle":
         return torque

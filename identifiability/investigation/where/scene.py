@@ -10,9 +10,9 @@ from scipy import stats
 
 from identifiability.investigation.fits.candidate import Candidate
 from identifiability.investigation.fits.refits import Refits
-from identifiability.investigation.split import Ready
 from identifiability.investigation.where.imposed import Imposed
 from identifiability.investigation.where.whitening import Blocks, Portion, Whitening, excess
+from identifiability.measurement.prepared import Prepared
 
 _WIDTHS, _MOST_BINS = (0.01, 0.02), 60  # of the bins in time [s], and their number
 
@@ -38,7 +38,7 @@ class Scene:
 
     Attributes
     ----------
-    parts : tuple of Ready
+    parts : tuple of Prepared
         The fitted trials.
     loads : tuple of Imposed
         What was imposed in each.
@@ -53,7 +53,7 @@ class Scene:
         False discovery rate.
     """
 
-    parts: tuple[Ready, ...]
+    parts: tuple[Prepared, ...]
     loads: tuple[Imposed, ...]
     candidate: Candidate
     refits: Refits
@@ -83,7 +83,7 @@ class Scene:
         return np.asarray(stats.false_discovery_control(p_values) <= self.level)
 
     @property
-    def observed(self) -> list[tuple[Ready, Blocks]]:
+    def observed(self) -> list[tuple[Prepared, Blocks]]:
         """Trials with their blocks."""
         return list(zip(self.parts, self.blocks, strict=True))
 
