@@ -96,3 +96,16 @@ def output_folder(path: Path) -> Path:
             f"cannot make the output folder '{path}' ({error.strerror}); choose another --out"
         ) from None
     return path
+
+
+def compile_cache() -> dict[str, str]:
+    """Variables by which JAX keeps compiled programs, and processes share them.
+
+    Those that are set already keep their value. They must be in place before JAX is imported.
+    """
+    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "identifiability"
+    variables = {
+        "JAX_COMPILATION_CACHE_DIR": str(cache),
+        "JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS": "0.2",
+    }
+    return {name: os.environ.get(name, value) for name, value in variables.items()}

@@ -14,7 +14,8 @@ PACKAGE = "identifiability"
 # other.
 LAYERS = (
     ("errors",),
-    ("files", "provenance"),
+    ("files", "progress", "provenance"),
+    ("sweep",),
     ("measurement",),
     ("joint",),
     ("inference",),

@@ -30,7 +30,7 @@ from identifiability.plots.style import (
     styled,
 )
 from identifiability.study.atlas import Corner
-from identifiability.study.sweep import Arrays
+from identifiability.sweep.outcome import Arrays
 
 NO_RESULT = "no result"
 _MISSING = "#D8D8D8"
@@ -40,9 +40,6 @@ COLOURS = dict(zip(VERDICTS, (BLUE, SKY, YELLOW, ORANGE, VERMILLION, GREY), stri
 
 _MOST_LABELLED = 8  # cells along an axis that still have room for a number
 _LARGEST_RATIO = 10.0
-
-
-CORNER_SCHEMA = 1
 
 
 def corner_plot(corner: Corner) -> Arrays:
