@@ -7,7 +7,7 @@ from .inference.problem import Observation, Prior, Problem, observe
 from .inference.profiles import Profile, profile
 from .inference.quadrature import Moments, quadrature
 from .inference.recordings import RecordingFit, fit_recordings
-from .inference.sampling import Posterior, sample
+from .inference.sampling import Posterior, Sampler, sample
 from .inference.widths import Width, Widths, widths
 from .investigation.findings import Findings
 from .investigation.fits.candidate import Candidate, Residual
@@ -131,6 +131,7 @@ __all__ = [  # noqa: RUF022 -- in the order of use
     "Profile",
     "sample",
     "Posterior",
+    "Sampler",
     "quadrature",
     "Moments",
     "widths",
