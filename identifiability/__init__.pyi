@@ -18,6 +18,7 @@ from .investigation.unexplained.account import Unexplained
 from .investigation.verdict.judge import Verdict
 from .investigation.where.compare import Comparison
 from .investigation.where.locate import Location
+from .investigation.wording.describe import describe
 from .joint.effects import (
     EFFECTS,
     ActivationLag,
@@ -140,6 +141,7 @@ __all__ = [  # noqa: RUF022 -- in the order of use
     "Search",
     "Unexplained",
     "Verdict",
+    "describe",
     "Limits",
     "NextExperiment",
     "investigation_record",

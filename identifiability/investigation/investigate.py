@@ -112,7 +112,7 @@ class Investigation:
     --------
     >>> study = Investigation(trials)                    # doctest: +SKIP
     >>> kbi = study.fit(KBI())                           # doctest: +SKIP
-    >>> study.locate(kbi).sentences                      # doctest: +SKIP
+    >>> describe(study.locate(kbi))                      # doctest: +SKIP
     >>> study.rank(kbi).chosen                           # doctest: +SKIP
     'stretch_reflex'
     >>> better = study.fit(KBI() + StretchReflex())      # doctest: +SKIP

@@ -15,6 +15,7 @@ from identifiability.investigation.search.gate import Ranked
 from identifiability.investigation.split import Ready
 from identifiability.investigation.unexplained.account import Unexplained
 from identifiability.investigation.verdict.pinned import not_pinned_down
+from identifiability.investigation.wording.unexplained import unexplained_sentence
 from identifiability.provenance import package_version
 
 SCHEMA = 1
@@ -162,7 +163,7 @@ def _unexplained(rest: Unexplained | None) -> dict[str, Any] | None:
     if rest is None:
         return None
     return {
-        "sentence": rest.sentence,
+        "sentence": unexplained_sentence(rest),
         "best": rest.best.key,
         "kind": rest.best.kind,
         "margin": rest.margin,

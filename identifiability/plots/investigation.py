@@ -12,7 +12,8 @@ from identifiability.inference.widths import Widths
 from identifiability.investigation.investigate import Findings
 from identifiability.investigation.search.gate import DECISIVE
 from identifiability.investigation.search.search import Ranking
-from identifiability.plots.style import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILLION, styled
+from identifiability.palette import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILLION
+from identifiability.plots.style import styled
 
 _DIVERGED = 1e3  # E of a prediction that has nothing to do with the trial any more
 _FEWEST = 1.0  # evidence below it is drawn at this length: the axis is logarithmic

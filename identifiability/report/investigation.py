@@ -13,6 +13,7 @@ from identifiability.investigation.investigate import Findings
 from identifiability.investigation.search.gate import DECISIVE, Ranked
 from identifiability.investigation.search.search import Ranking
 from identifiability.investigation.verdict.pinned import interval, not_pinned_down
+from identifiability.investigation.wording.describe import describe
 from identifiability.joint.parameters import with_unit
 from identifiability.plots.investigation import (
     error_text,
@@ -92,7 +93,7 @@ def write_report(findings: Findings, record: dict[str, Any], out: Path) -> list[
             "If the model is right, K, B and I are the same for every window, amplitude, direction "
             "and kind of trial."
         )
-        page.items(list(comparison.sentences))
+        page.items(list(describe(comparison)))
         show(
             "comparison",
             lambda: comparison_figure(comparison),
@@ -101,7 +102,7 @@ def write_report(findings: Findings, record: dict[str, Any], out: Path) -> list[
     if findings.location is not None:
         location = findings.location
         page.heading("Where the baseline fails")
-        page.items(list(location.sentences))
+        page.items(list(describe(location)))
         show("where", lambda: where_figure(location), "Where the residual exceeds the noise.")
 
     page.heading("Which effect is missing")
@@ -165,14 +166,16 @@ def write_report(findings: Findings, record: dict[str, Any], out: Path) -> list[
     page.heading("Unexplained torque")
     before = findings.unexplained_before
     if before is not None:
-        page.paragraph(f"Baseline. {before.sentence}")
+        left = " ".join(describe(before))
+        page.paragraph(f"Baseline. {left}")
         show(
             "unexplained_baseline",
             lambda: unexplained_figure(before),
             "What the baseline lacks, with nothing assumed but its family.",
         )
     if findings.unexplained_after is not before:
-        page.paragraph(f"Final model. {findings.unexplained_after.sentence}")
+        left = " ".join(describe(findings.unexplained_after))
+        page.paragraph(f"Final model. {left}")
         show(
             "unexplained_final",
             lambda: unexplained_figure(findings.unexplained_after),

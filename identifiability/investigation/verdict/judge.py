@@ -23,6 +23,7 @@ from identifiability.investigation.search.search import Search
 from identifiability.investigation.search.smallest_seen import Detectable
 from identifiability.investigation.split import Split
 from identifiability.investigation.unexplained.account import Unexplained
+from identifiability.investigation.wording.unexplained import unexplained_sentence
 from identifiability.joint.effects.base import Effect
 
 EXPLAINED_SHARE = 0.8
@@ -121,7 +122,7 @@ def judge(
         return _partly(rest, names, sets, share, because, library)
     if not quiet:
         because.append(
-            f"The equations are not exact: {rest.sentence}"
+            f"The equations are not exact: {unexplained_sentence(rest)}"
             if rest.share > _TRACE
             else "The equations are not exact, and what they leave is of no form known here."
         )
@@ -156,15 +157,16 @@ def _nothing_named(
             + "."
         )
         return Verdict("nothing_missing", (), (), sentence, tuple(because), None, tuple(seen))
-    because.append(rest.sentence)
+    because.append(unexplained_sentence(rest))
     kind = _unknown_kind(rest)
     if kind == "measurement":
         alike = _SENSORS[rest.best.kind]
         known = _list([_plain(k) for k in alike])
         because.append(f"Its form is not that of {known} as known here.")
-        sentence = f"It is the measurement, not the joint. {rest.sentence}"
+        sentence = f"It is the measurement, not the joint. {unexplained_sentence(rest)}"
         return Verdict(kind, alike[:1], (alike,), sentence, tuple(because))
-    sentence = f"Something is missing, and it is none of the effects known here. {rest.sentence}"
+    left = unexplained_sentence(rest)
+    sentence = f"Something is missing, and it is none of the effects known here. {left}"
     return Verdict(kind, (), (), sentence, tuple(because))
 
 
@@ -176,11 +178,11 @@ def _partly(
     because: list[str],
     library: Mapping[str, type[Effect]],
 ) -> Verdict:
-    because.append(rest.sentence)
+    because.append(unexplained_sentence(rest))
     sentence = (
         f"None of the effects known here explains the misfit: the best, "
         f"{_list([library[k].title for k in names])}, removes {100 * share:.0f} % of it on trials "
-        f"that were not fitted. {rest.sentence}"
+        f"that were not fitted. {unexplained_sentence(rest)}"
     )
     because.append(
         "Named effects that remove only a part may stand for something else: treat them as a clue."
