@@ -25,6 +25,7 @@ from .investigation.verdict.judge import Verdict
 from .investigation.verdict.reasons import Reason
 from .investigation.where.compare import Comparison
 from .investigation.where.locate import Location
+from .investigation.wording.describe import describe
 from .joint.effects import (
     EFFECTS,
     ActivationLag,
@@ -156,6 +157,7 @@ __all__ = [  # noqa: RUF022 -- in the order of use
     "Unexplained",
     "Verdict",
     "Reason",
+    "describe",
     "Limits",
     "NextExperiment",
     "investigation_record",

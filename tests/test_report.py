@@ -19,7 +19,7 @@ from identifiability.investigation.search.gate import Ranked
 from identifiability.investigation.search.smallest_seen import detectable
 from identifiability.investigation.session import Investigation
 from identifiability.investigation.verdict.pinned import not_pinned_down
-from identifiability.investigation.wording.pinned import sentence
+from identifiability.investigation.wording.pinned import loose_sentence
 from identifiability.joint.effects import EFFECTS
 from identifiability.joint.model import KBI
 from identifiability.plots.investigation import error_text, ranking_figure, widths_figure
@@ -136,7 +136,9 @@ def test_what_is_said_of_a_parameter_that_is_not_pinned_down(optimum, interval, 
         profile_sides=sides,
         verdict="agrees",
     )
-    found = " ".join(map(sentence, not_pinned_down(SimpleNamespace(rows=[row]), Rules().loose)))
+    found = " ".join(
+        map(loose_sentence, not_pinned_down(SimpleNamespace(rows=[row]), Rules().loose))
+    )
     assert (said in found) if said else not found
 
 

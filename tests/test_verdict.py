@@ -19,7 +19,7 @@ from identifiability.investigation.split import gather
 from identifiability.investigation.unexplained.account import Unexplained
 from identifiability.investigation.unexplained.explanation import Family
 from identifiability.investigation.verdict.judge import KINDS, judge
-from identifiability.investigation.wording.verdict import because, sentence
+from identifiability.investigation.wording.verdict import because, verdict_sentence
 from identifiability.joint.effects import EFFECTS, RelaxationSpectrum
 from identifiability.joint.model import KBI
 
@@ -111,7 +111,7 @@ def in_words(split, *args, **options):
     whole = Findings(
         *(split, found, None, None, None, rest, None, judged, None, EFFECTS, {}, (), 1)
     )
-    return sentence(whole), because(whole)
+    return verdict_sentence(whole), because(whole)
 
 
 def verdict_of(split, final, key, *rivals, exact=True):

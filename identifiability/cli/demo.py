@@ -34,7 +34,7 @@ def run(options: argparse.Namespace) -> int:
     from identifiability.inference.recordings import fit_recordings
     from identifiability.inference.widths import widths
     from identifiability.investigation.investigate import investigate
-    from identifiability.investigation.wording.verdict import sentence
+    from identifiability.investigation.wording.verdict import verdict_sentence
     from identifiability.measurement.example import B_CE, INERTIA, K_CE, K_SE, example_trials
     from identifiability.measurement.perturbations import Impulse
     from identifiability.study.setting import Setting, measured_problem
@@ -91,7 +91,7 @@ What was found
   K = {", ".join(f"{w.optimum:.0f} ± {w.posterior_sd:.1g}" for w in by_window)} Nm/rad
   in these windows after the pulse, with a VAF of {recording.goodness.vaf:.2f} % over the whole:
   a good fit of a wrong model.
-  {sentence(findings)}
+  {verdict_sentence(findings)}
   With that E on the trial that was not fitted falls from {before.error:.2g} to
   {after.error:.2g}, and the parameters, with the joint's own in brackets, are
   {", ".join(values)}."""

@@ -122,20 +122,24 @@ def save(findings: Findings, out: Path, *, command: str) -> list[str]:
 def summary(findings: Findings) -> str:
     """What was found, as text."""
     from identifiability.investigation.verdict.pinned import interval, not_pinned_down
-    from identifiability.investigation.wording import next_experiment as next_words
-    from identifiability.investigation.wording import pinned as pinned_words
     from identifiability.investigation.wording import verdict as words
+    from identifiability.investigation.wording.next_experiment import next_experiment_sentence
+    from identifiability.investigation.wording.pinned import loose_sentence
 
     found, floor = findings.found, findings.split.noise_floor()
     names = ["baseline" if found.baseline.keys else "K, B, I"]
     names += [f"+ {words.plain(m.name)}" for m in found.missing]
-    lines = [words.sentence(findings), "", f"{'model':<34}{'E fitted':>12}{'E held out':>12}"]
+    lines = [
+        words.verdict_sentence(findings),
+        "",
+        f"{'model':<34}{'E fitted':>12}{'E held out':>12}",
+    ]
     for name, rung in zip(names, found.ladder, strict=True):
         lines.append(f"{name:<34}{rung.fitted.error:>12.3g}{rung.held_out.error:>12.3g}")
     lines.append(f"{'noise floor':<34}" + (f"{floor:>12.3g}" if floor else f"{'unknown':>12}"))
     lines += ["", *words.because(findings)]
     if findings.next_experiment is not None:
-        lines += ["", f"Next experiment. {next_words.sentence(findings.next_experiment)}"]
+        lines += ["", f"Next experiment. {next_experiment_sentence(findings.next_experiment)}"]
     if findings.widths is not None:
         lines.append("")
         for row in findings.widths.rows:
@@ -145,7 +149,7 @@ def summary(findings: Findings) -> str:
                 f"{row.verdict}"
             )
         loose = not_pinned_down(findings.widths, findings.split.rules.loose)
-        lines += ["", *map(pinned_words.sentence, loose)]
+        lines += ["", *map(loose_sentence, loose)]
     lines += [f"note: {warning}" for warning in findings.warnings]
     return "\n".join(lines)
 

@@ -17,9 +17,8 @@ from identifiability.investigation.search.gate import Ranked
 from identifiability.investigation.unexplained.account import Unexplained
 from identifiability.investigation.verdict.pinned import not_pinned_down
 from identifiability.investigation.wording import verdict as wording
-from identifiability.investigation.wording.next_experiment import (
-    sentence as next_experiment_sentence,
-)
+from identifiability.investigation.wording.next_experiment import next_experiment_sentence
+from identifiability.investigation.wording.unexplained import unexplained_sentence
 from identifiability.measurement.prepared import Prepared
 from identifiability.provenance import package_version
 
@@ -71,7 +70,7 @@ def investigation_record(findings: Findings, *, command: str = "") -> dict[str, 
                 "kind": verdict.kind,
                 "effects": list(verdict.effects),
                 "equivalence_sets": [list(names) for names in verdict.sets],
-                "sentence": wording.sentence(findings),
+                "sentence": wording.verdict_sentence(findings),
                 "because": wording.because(findings),
                 "reasons": [asdict(reason) for reason in verdict.reasons],
                 "share_explained": verdict.share,
@@ -174,7 +173,7 @@ def _unexplained(rest: Unexplained | None) -> dict[str, Any] | None:
     if rest is None:
         return None
     return {
-        "sentence": rest.sentence,
+        "sentence": unexplained_sentence(rest),
         "best": rest.best.key,
         "kind": rest.best.kind,
         "margin": rest.margin,

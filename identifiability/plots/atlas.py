@@ -17,18 +17,9 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullLocator
 
 from identifiability.inference.widths import VERDICTS
+from identifiability.palette import BLUE, GREY, ORANGE, SKY, VERMILLION, YELLOW
 from identifiability.plots.corner import corner_figure
-from identifiability.plots.style import (
-    BLUE,
-    DPI,
-    GREY,
-    MAP,
-    ORANGE,
-    SKY,
-    VERMILLION,
-    YELLOW,
-    styled,
-)
+from identifiability.plots.style import DPI, MAP, styled
 from identifiability.study.atlas import Corner
 from identifiability.sweep.outcome import Arrays
 

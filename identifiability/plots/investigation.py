@@ -11,7 +11,8 @@ from matplotlib.patches import Patch
 from identifiability.inference.widths import Widths
 from identifiability.investigation.findings import Findings
 from identifiability.investigation.search.found import Ranking
-from identifiability.plots.style import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILLION, styled
+from identifiability.palette import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILLION
+from identifiability.plots.style import styled
 
 _DIVERGED = 1e3  # E of a prediction that has nothing to do with the trial any more
 _FEWEST = 1.0  # evidence below it is drawn at this length: the axis is logarithmic

@@ -15,9 +15,11 @@ from identifiability.investigation.findings import Findings
 from identifiability.investigation.search.found import Found, Ranking
 from identifiability.investigation.search.gate import Ranked
 from identifiability.investigation.verdict.pinned import interval, not_pinned_down
-from identifiability.investigation.wording import next_experiment as next_words
-from identifiability.investigation.wording import pinned as pinned_words
 from identifiability.investigation.wording import verdict as words
+from identifiability.investigation.wording.describe import describe
+from identifiability.investigation.wording.next_experiment import next_experiment_sentence
+from identifiability.investigation.wording.pinned import loose_sentence
+from identifiability.investigation.wording.unexplained import unexplained_sentence
 from identifiability.joint.parameters import Parameter, with_unit
 from identifiability.plots.investigation import (
     error_text,
@@ -103,7 +105,7 @@ def _verdict(page: Page, findings: Findings) -> None:
         f"{len(split.fitted)} trial(s) fitted, {len(split.held_out)} held out "
         f"({split.how_held_out}); {split.driven} imposed; {findings.found.n_fits} models fitted."
     )
-    page.box([words.TITLES[findings.verdict.kind] + ".", words.sentence(findings)])
+    page.box([words.TITLES[findings.verdict.kind] + ".", words.verdict_sentence(findings)])
     page.items(words.because(findings))
     if findings.warnings:
         page.heading("What could not be done")
@@ -125,7 +127,7 @@ def _data_and_model(page: Page, figures: _Figures, findings: Findings) -> None:
             "If the model is right, K, B and I are the same for every window, amplitude, direction "
             "and kind of trial."
         )
-        page.items(list(comparison.sentences))
+        page.items(list(describe(comparison)))
         figures.show(
             "comparison",
             lambda: comparison_figure(comparison),
@@ -137,7 +139,7 @@ def _where(page: Page, figures: _Figures, findings: Findings) -> None:
     page.heading("Where the baseline fails")
     _failed(page, findings, "location")
     if (location := findings.location) is not None:
-        page.items(list(location.sentences))
+        page.items(list(describe(location)))
         figures.show(
             "where", lambda: where_figure(location), "Where the residual exceeds the noise."
         )
@@ -227,14 +229,14 @@ def _unexplained(page: Page, figures: _Figures, findings: Findings) -> None:
     before, after = findings.unexplained_before, findings.unexplained_after
     _failed(page, findings, "unexplained torque")
     if before is not None:
-        page.paragraph(f"Baseline. {before.sentence}")
+        page.paragraph(f"Baseline. {unexplained_sentence(before)}")
         figures.show(
             "unexplained_baseline",
             lambda: unexplained_figure(before),
             "What the baseline lacks, with nothing assumed but its family.",
         )
     if after is not before:
-        page.paragraph(f"Final model. {after.sentence}")
+        page.paragraph(f"Final model. {unexplained_sentence(after)}")
         figures.show(
             "unexplained_final",
             lambda: unexplained_figure(after),
@@ -251,7 +253,7 @@ def _parameters(page: Page, figures: _Figures, findings: Findings) -> None:
         _failed(page, findings, "widths")
         _values_table(page, final.values, final.model.parameters)
         return
-    loose = [pinned_words.sentence(p) for p in not_pinned_down(found, findings.split.rules.loose)]
+    loose = [loose_sentence(p) for p in not_pinned_down(found, findings.split.rules.loose)]
     page.items(loose or ["All parameters are known to better than half their value."])
     _widths_table(page, found)
     figures.show("widths", lambda: widths_figure(found), "Widths over values of all parameters.")
@@ -269,7 +271,7 @@ def _next(page: Page, findings: Findings) -> None:
             else "No pair of named effects is left that an experiment could separate."
         )
     else:
-        page.paragraph(next_words.sentence(following))
+        page.paragraph(next_experiment_sentence(following))
         page.table(
             ["perturbation", "expected evidence a trial"],
             [

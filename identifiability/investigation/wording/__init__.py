@@ -1,1 +1,1 @@
-"""Findings in words: the one place where data become sentences."""
+"""What was found, in sentences: from results to words, and nowhere else."""

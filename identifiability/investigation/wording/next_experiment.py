@@ -5,7 +5,7 @@ from __future__ import annotations
 from identifiability.investigation.next_experiment import NextExperiment
 
 
-def sentence(following: NextExperiment) -> str:
+def next_experiment_sentence(following: NextExperiment) -> str:
     """Which perturbation to use, and what it would bring."""
     first, second = (key.replace("_", " ") for key in following.pair)
     best, needed = following.best, following.needed

@@ -6,7 +6,7 @@ from identifiability.investigation.verdict.pinned import Loose
 from identifiability.joint.parameters import with_unit
 
 
-def sentence(loose: Loose) -> str:
+def loose_sentence(loose: Loose) -> str:
     """How a parameter is left open."""
     name = loose.name.replace("_", " ")
     upper = with_unit(f"{loose.high:.3g}", loose.unit)

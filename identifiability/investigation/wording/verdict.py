@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 
 from identifiability.investigation.findings import Findings
 from identifiability.investigation.verdict.reasons import Reason
+from identifiability.investigation.wording.unexplained import unexplained_sentence
 from identifiability.joint.effects import Effect
 from identifiability.joint.parameters import with_unit
 
@@ -44,10 +45,10 @@ def listed(words: Sequence[str]) -> str:
     return ", ".join(words[:-1]) + " and " + words[-1]
 
 
-def sentence(findings: Findings) -> str:
+def verdict_sentence(findings: Findings) -> str:
     """The verdict in one or two sentences."""
     verdict, found, library = findings.verdict, findings.found, findings.library
-    rest = findings.unexplained_after.sentence
+    rest = unexplained_sentence(findings.unexplained_after)
     if found.description is not None:
         return _described(findings)
     if verdict.kind == "nothing_missing":
@@ -120,7 +121,7 @@ def _reason(reason: Reason, findings: Findings) -> str:
     if reason.kind == "equations not exact":
         rest = findings.unexplained_after
         if rest.share > findings.split.rules.trace_share:
-            return f"The equations are not exact: {rest.sentence}"
+            return f"The equations are not exact: {unexplained_sentence(rest)}"
         return "The equations are not exact, and what they leave is of no form known here."
     if reason.kind == "edge of bounds":
         name, unit = reason.remark, findings.found.final.model.parameters[reason.remark].unit
