@@ -10,9 +10,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from identifiability.cli.fit import (
+from identifiability.cli.options import (
+    add_bounds_option,
     add_file_options,
     add_lowpass_option,
+    add_out_option,
+    add_seed_option,
+    check_seed,
     parse_bounds,
     parse_lowpass,
     read_trials,
@@ -44,13 +48,7 @@ def add_parser(commands: Any) -> None:
         help="a trial that no model is fitted to (may be repeated; chosen by itself if none is)",
     )
     add_lowpass_option(parser)
-    parser.add_argument(
-        "--bounds",
-        nargs="+",
-        default=[],
-        metavar="NAME=LOW:HIGH",
-        help="other bounds than the physical ones, for example I=1e-7:0.01",
-    )
+    add_bounds_option(parser)
     parser.add_argument("--most", type=int, default=3, metavar="N", help="most effects to add (3)")
     parser.add_argument(
         "--limits",
@@ -60,8 +58,8 @@ def add_parser(commands: Any) -> None:
         help="what the next experiment may do, for example torque=20 angle=0.3 duration=1",
     )
     parser.add_argument("--no-widths", action="store_true", help="skip the parameters' widths")
-    parser.add_argument("--seed", type=int, default=1, help="of starts and sampler (1)")
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for results")
+    add_seed_option(parser, "starts and sampler")
+    add_out_option(parser)
     parser.set_defaults(run=run)
 
 
@@ -70,8 +68,7 @@ def run(options: argparse.Namespace) -> int:
     from identifiability.files import output_folder
     from identifiability.investigation.investigate import investigate
 
-    if options.seed < 0:
-        raise InputError(f"found the seed {options.seed}, expected 0 or more")
+    check_seed(options.seed)
     if not 0 <= options.most <= 3:
         raise InputError(f"found --most {options.most}, expected 0 to 3 effects")
     lowpass = parse_lowpass(options.lowpass)

@@ -15,7 +15,7 @@ from identifiability.investigation.search.gate import Ranked
 from identifiability.investigation.split import Ready
 from identifiability.investigation.unexplained.account import Unexplained
 from identifiability.investigation.verdict.pinned import not_pinned_down
-from identifiability.provenance import package_version
+from identifiability.provenance import stamp
 
 SCHEMA = 1
 
@@ -106,7 +106,7 @@ def investigation_record(findings: Findings, *, command: str = "") -> dict[str, 
         "held_out": split.how_held_out,
         "driven": split.driven,
         "warnings": list(findings.warnings),
-        "package": package_version(),
+        **stamp(__name__),
         "seed": findings.seed,
         "data_sha256": data_hash((*split.fitted, *split.held_out)),
         "command": command,
