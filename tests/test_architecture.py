@@ -203,6 +203,17 @@ def test_the_command_line_starts_without_heavy_imports(module):
             assert imported.split(".")[0] in sys.stdlib_module_names, imported
 
 
+def test_subcommands_share_options_and_not_each_other():
+    """The command line flows one way too; only the demonstration runs what it demonstrates."""
+    shared = {f"{PACKAGE}.cli.{name}" for name in ("options", "exits")}
+    for module, tree in TREES.items():
+        if layer_of(module) != "cli" or module.endswith((".main", ".demo")):
+            continue
+        inside = {m for m, _ in imports(tree) if m.startswith(f"{PACKAGE}.cli")}
+        assert inside <= shared, module
+        assert not (module in shared and inside), module
+
+
 # Documentation
 
 
