@@ -559,6 +559,13 @@ def test_figures_have_a_panel_for_everything_and_labels_with_units():
     assert "changes" in changed
 
 
+def test_a_parameter_at_its_bound_of_zero_has_an_axis_all_the_same():
+    comparison, _ = findings(KBI() + StretchReflex(), FAST_REFLEX)
+    assert comparison.overall.values[1] == 0.0
+    low, high = comparison_figure(comparison).axes[5].get_ylim()
+    assert high - low > comparison.overall.errors[1]
+
+
 def test_the_overlay_shows_at_most_eight_trials():
     trials = [t for seed in (1, 2) for t in recorded(*TENDON, seed=seed)]
     bench, before = fitted(trials)
