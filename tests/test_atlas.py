@@ -21,7 +21,7 @@ from identifiability.study.atlas_page import MOST_LISTED, page
 from identifiability.study.atlas_record import record
 from identifiability.study.setting import error_problem
 from identifiability.study.store import CELL, FIELDS, to_dataset, write_atlas
-from identifiability.study.sweep import Outcome
+from identifiability.sweep.outcome import Outcome
 
 RESULTS = Path(__file__).parents[1] / "results"
 

@@ -16,7 +16,8 @@ import numpy as np
 import pytest
 
 from identifiability.errors import InputError
-from identifiability.study.sweep import Outcome, sweep
+from identifiability.sweep.outcome import Outcome
+from identifiability.sweep.run import sweep
 
 ROOT = Path(__file__).parents[1]
 
@@ -111,18 +112,16 @@ def test_failed_tasks_and_only_those_are_tried_again(tmp_path, threads):
         np.testing.assert_array_equal(again["good"].arrays[key], value)
 
 
-@pytest.mark.parametrize("change", ["task", "schema", "version"])
+@pytest.mark.parametrize("change", ["task", "code"])
 def test_a_changed_configuration_never_reads_old_results(tmp_path, threads, monkeypatch, change):
     run({"a": Task(3)}, tmp_path, **threads)
-    task, options = Task(3), {}
+    task = Task(3)
     if change == "task":
         task = Task(3, note="changed")
-    elif change == "schema":
-        options = {"schema": 2}
     else:
-        monkeypatch.setattr("identifiability.study.sweep.package_version", lambda: "99.0")
-    assert not run({"a": task}, tmp_path, **threads, **options)["a"].resumed
-    assert run({"a": task}, tmp_path, **threads, **options)["a"].resumed
+        monkeypatch.setattr("identifiability.sweep.keep.code_fingerprint", lambda module: "other")
+    assert not run({"a": task}, tmp_path, **threads)["a"].resumed
+    assert run({"a": task}, tmp_path, **threads)["a"].resumed
 
 
 def test_the_name_of_a_task_is_not_part_of_its_configuration(tmp_path, threads):

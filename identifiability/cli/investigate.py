@@ -20,7 +20,7 @@ from identifiability.cli.fit import (
 from identifiability.errors import InputError
 
 if TYPE_CHECKING:
-    from identifiability.investigation.investigate import Findings
+    from identifiability.investigation.findings import Findings
 
 
 def add_parser(commands: Any) -> None:
@@ -122,19 +122,24 @@ def save(findings: Findings, out: Path, *, command: str) -> list[str]:
 def summary(findings: Findings) -> str:
     """What was found, as text."""
     from identifiability.investigation.verdict.pinned import interval, not_pinned_down
+    from identifiability.investigation.wording import verdict as words
+    from identifiability.investigation.wording.next_experiment import next_experiment_sentence
+    from identifiability.investigation.wording.pinned import loose_sentence
 
-    search, verdict = findings.search, findings.verdict
-    floor = findings.split.noise_floor()
-    lines = [verdict.sentence, ""]
-    rows = [("K, B, I" if not search.baseline.keys else "baseline", search.baseline)]
-    rows += [(f"+ {key.replace('_', ' ')}", candidate) for key, candidate in search.ladder]
-    lines.append(f"{'model':<34}{'E fitted':>12}{'E held out':>12}")
-    for name, candidate in rows:
-        lines.append(f"{name:<34}{candidate.fitted.error:>12.3g}{candidate.held_out.error:>12.3g}")
+    found, floor = findings.found, findings.split.noise_floor()
+    names = ["baseline" if found.baseline.keys else "K, B, I"]
+    names += [f"+ {words.plain(m.name)}" for m in found.missing]
+    lines = [
+        words.verdict_sentence(findings),
+        "",
+        f"{'model':<34}{'E fitted':>12}{'E held out':>12}",
+    ]
+    for name, rung in zip(names, found.ladder, strict=True):
+        lines.append(f"{name:<34}{rung.fitted.error:>12.3g}{rung.held_out.error:>12.3g}")
     lines.append(f"{'noise floor':<34}" + (f"{floor:>12.3g}" if floor else f"{'unknown':>12}"))
-    lines += ["", *verdict.because]
+    lines += ["", *words.because(findings)]
     if findings.next_experiment is not None:
-        lines += ["", f"Next experiment. {findings.next_experiment.sentence}"]
+        lines += ["", f"Next experiment. {next_experiment_sentence(findings.next_experiment)}"]
     if findings.widths is not None:
         lines.append("")
         for row in findings.widths.rows:
@@ -143,7 +148,8 @@ def summary(findings: Findings) -> str:
                 f"{row.name} = {row.optimum:.4g} (95 % by {source}: {low:.4g} to {high:.4g}): "
                 f"{row.verdict}"
             )
-        lines += ["", *not_pinned_down(findings.widths)]
+        loose = not_pinned_down(findings.widths, findings.split.rules.loose)
+        lines += ["", *map(loose_sentence, loose)]
     lines += [f"note: {warning}" for warning in findings.warnings]
     return "\n".join(lines)
 

@@ -6,7 +6,6 @@ import argparse
 import os
 import sys
 from collections.abc import Sequence
-from pathlib import Path
 
 from identifiability.errors import InputError
 
@@ -29,12 +28,12 @@ def parser() -> argparse.ArgumentParser:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit code (0 done, 2 bad input, 3 some cells failed)."""
-    # Compiled programs are kept between runs and shared by worker processes.
-    cache = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "identifiability"
-    os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(cache))
-    os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.2")
     try:
         options = parser().parse_args(arguments)
+        from identifiability.files import compile_cache
+
+        # Compiled programs are kept between runs.
+        os.environ.update(compile_cache())
         return int(options.run(options) or 0)
     except InputError as error:
         print(f"identifiability: {error}", file=sys.stderr)

@@ -17,20 +17,11 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullLocator
 
 from identifiability.inference.widths import VERDICTS
+from identifiability.palette import BLUE, GREY, ORANGE, SKY, VERMILLION, YELLOW
 from identifiability.plots.corner import corner_figure
-from identifiability.plots.style import (
-    BLUE,
-    DPI,
-    GREY,
-    MAP,
-    ORANGE,
-    SKY,
-    VERMILLION,
-    YELLOW,
-    styled,
-)
+from identifiability.plots.style import DPI, MAP, styled
 from identifiability.study.atlas import Corner
-from identifiability.study.sweep import Arrays
+from identifiability.sweep.outcome import Arrays
 
 NO_RESULT = "no result"
 _MISSING = "#D8D8D8"
@@ -40,9 +31,6 @@ COLOURS = dict(zip(VERDICTS, (BLUE, SKY, YELLOW, ORANGE, VERMILLION, GREY), stri
 
 _MOST_LABELLED = 8  # cells along an axis that still have room for a number
 _LARGEST_RATIO = 10.0
-
-
-CORNER_SCHEMA = 1
 
 
 def corner_plot(corner: Corner) -> Arrays:

@@ -6,7 +6,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from identifiability.inference.recordings import RecordingFit
-from identifiability.plots.style import BLACK, BLUE, GREY, VERMILLION, styled
+from identifiability.palette import BLACK, BLUE, GREY, VERMILLION
+from identifiability.plots.style import styled
 
 _MOST_TRIALS, _LONGEST = 6, 3.0
 

@@ -26,12 +26,12 @@ from identifiability.measurement.noise import READINGS
 from identifiability.measurement.perturbations import PERTURBATIONS
 from identifiability.provenance import fingerprint
 from identifiability.study.setting import Setting, measured_problem
-from identifiability.study.sweep import Arrays, Outcome, sweep
+from identifiability.sweep.outcome import Arrays, Outcome
+from identifiability.sweep.run import sweep
 
 N_DRAWS = 250
 LONGEST = 10.0  # [s]; beyond it a duration is likely to be in milliseconds
 TIME_LIMIT = 900.0  # for one cell [s]; it takes about one, but compiles for each new array shape
-_SCHEMA = 1
 
 
 @dataclass(frozen=True)
@@ -451,7 +451,6 @@ def run_atlas(
         plan.cells(),
         folder=folder,
         label="atlas",
-        schema=_SCHEMA,
         workers=workers,
         executor=executor,
         timeout_s=None if executor else TIME_LIMIT,

@@ -28,7 +28,8 @@ from identifiability.measurement.perturbations import (
     Sinusoid,
 )
 from identifiability.study.setting import Setting, error_problem
-from identifiability.study.sweep import Arrays, Outcome, sweep
+from identifiability.sweep.outcome import Arrays, Outcome
+from identifiability.sweep.run import sweep
 
 K_CE = tuple(np.linspace(10.0, 200.0, 20).tolist())
 B_CE = tuple(np.linspace(2.0, 30.0, 15).tolist())

@@ -15,7 +15,7 @@ from identifiability.files import replacing
 from identifiability.joint.model import KBI
 from identifiability.provenance import package_version
 from identifiability.study.atlas import N_DRAWS, Plan
-from identifiability.study.sweep import Outcome
+from identifiability.sweep.outcome import Outcome
 
 CELL = ("K_CE", "B_CE", "ratio", "T", "perturbation", "reading")
 SIDES = ("lower", "upper")

@@ -117,17 +117,6 @@ class Fitter:
         return replace(self.bench, split=replace(split, fitted=everything, held_out=()))
 
 
-def baseline(
-    bench: Workbench, model: Model, guess: dict[str, float], *, refined: Sequence[str] = ()
-) -> Candidate:
-    """Fit of the model that the investigation starts from."""
-    starts = []
-    for factor in (1.0, 0.3, 3.0):
-        start = guess | {"K": factor * guess["K"], "B": guess["B"] / factor}
-        starts += starting_values(model, start, most=3 if model.effects else 1)
-    return bench.fit(model, starts, refined=refined)
-
-
 def refinable(candidate: Candidate, key: str) -> bool:
     """Whether an effect of a candidate has refining parameters that are not free."""
     return key not in candidate.refined and any(

@@ -10,6 +10,8 @@ import numpy as np
 from identifiability.measurement.prepared import Prepared
 from identifiability.measurement.trials import onsets
 
+OTHER_SIZE = 1.2
+"""Ratio of two sizes from which they count as different."""
 _ALIKE = 0.99  # correlation of imposed signals that are scaled copies of each other
 _TWO_SIDED = 0.8  # ratio of the excursions to both sides from which there is no main direction
 _REST, _AT_REST = 0.02, 0.05  # seconds before an onset, and share of the response's range

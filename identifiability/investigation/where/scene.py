@@ -18,21 +18,6 @@ _WIDTHS, _MOST_BINS = (0.01, 0.02), 60  # of the bins in time [s], and their num
 
 
 @dataclass(frozen=True, eq=False)
-class View:
-    """What every view has.
-
-    Attributes
-    ----------
-    significant : bool
-    sentence : str
-        What was found, or why the view is not possible.
-    """
-
-    significant: bool
-    sentence: str
-
-
-@dataclass(frozen=True, eq=False)
 class Scene:
     """What all views look at.
 
@@ -50,7 +35,7 @@ class Scene:
     blocks : tuple of Blocks
         Whitened residuals after the onsets, averaged in short blocks.
     level : float
-        False discovery rate.
+        False discovery rate within a view.
     """
 
     parts: tuple[Prepared, ...]
@@ -70,11 +55,6 @@ class Scene:
     def slow_slack(self) -> float:
         """The same at the lowest frequencies."""
         return self.noise.slack(np.zeros(1))
-
-    @property
-    def reference(self) -> str:
-        """What the residual is judged by."""
-        return "the noise" if self.noise.known else "its typical level (the noise is unknown)"
 
     def significant(self, p_values: np.ndarray) -> np.ndarray:
         """Which of several tests are, at the false discovery rate."""
