@@ -2,13 +2,15 @@
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from identifiability.cli.fit import record as record_of
 from identifiability.cli.main import main
-from identifiability.inference.fitting import fit
+from identifiability.inference import recordings
+from identifiability.inference.fitting import explore, fit
 from identifiability.inference.problem import Prior
 from identifiability.inference.recordings import (
     fit_recordings,
@@ -17,10 +19,14 @@ from identifiability.inference.recordings import (
     whole,
     windows,
 )
+from identifiability.inference.starts import plain_values
 from identifiability.investigation.investigate import Investigation
+from identifiability.joint.effects import CubicStiffness, SeriesTendon, StretchReflex
 from identifiability.joint.model import KBI
+from identifiability.joint.response import simulate
 from identifiability.measurement import example
 from identifiability.measurement.noise import Noise, correlation_time
+from identifiability.measurement.perturbations import SampledTorque
 from identifiability.measurement.prepared import prepare
 from identifiability.measurement.trials import Trial
 
@@ -132,6 +138,49 @@ def test_both_commands_see_the_same_numbers(trials, fitted, request):
     assert same["notes"] == of_part["notes"]
     for key in ("level", "lowpass_hz", "decimation", "lead"):
         assert same["preparation"][key] == of_part["preparation"][key]
+
+
+def pushed(model, values):
+    """Two pushes and the response of a model of the library, with a thousandth of noise."""
+    time, random = np.arange(300) / 1000, np.random.default_rng(1)
+    for size in (12.0, -6.0):
+        torque = size * ((time > 0.05) & (time <= 0.1))
+        drive = SampledTorque(torque).drive(time)
+        substeps = None if model.linear else 2
+        angle = simulate(model, model.vector(values), drive, substeps=substeps)
+        noise = 1e-3 * np.sqrt(np.mean(angle**2)) * random.standard_normal(time.size)
+        yield Trial(time, torque, angle + noise, name=f"pushed by {size:g} Nm")
+
+
+@pytest.mark.parametrize(
+    ("effect", "own", "within"),
+    [
+        (SeriesTendon(), {"stiffness": 150.0}, 0.02),
+        (CubicStiffness(), {"coefficient": 300.0}, 0.01),
+        # Its gains, delay and lag are nearly one curve: standard deviations of 2 to 11 %.
+        (StretchReflex(), {"position_gain": 15.0, "velocity_gain": 0.6, "delay": 0.04}, 0.3),
+    ],
+    ids=["series_tendon", "cubic_stiffness", "stretch_reflex"],
+)
+def test_any_model_is_fitted(effect, own, within, monkeypatch):
+    # What else is known of the parameters has tests of its own; here it is the fit that counts.
+    monkeypatch.setattr(recordings, "widths", only_the_fit)
+    model = KBI() + effect
+    values = dict(zip(model.parameter_names, model.nominal, strict=True)) | plain_values(model)
+    values |= {"K": 40.0, "B": 1.5, "I": 0.1}
+    values |= {f"{effect.key}.{name}": value for name, value in own.items()}
+    result = fit_recordings(list(pushed(model, values)), model=model)
+    best = result.widths.fit
+    assert set(best.names) == set(values) - set(plain_values(model))
+    assert result.goodness.error == pytest.approx(1e-6, rel=0.3)  # the noise, and no more
+    for name in best.names:
+        assert best[name] == pytest.approx(values[name], rel=0.05 if name in "KBI" else within)
+    assert result.held_out.rule == "by amplitude"
+    assert result.held_out.goodness_held_out.error < 1e-4
+
+
+def only_the_fit(problem, *, starts, **options):
+    return SimpleNamespace(fit=explore(problem, starts, evaluations=60))
 
 
 def test_window_selection_skips_windows_that_overlap_the_next_perturbation():
