@@ -31,18 +31,14 @@ from identifiability.joint.effects import EFFECTS, Effect
 from identifiability.joint.model import KBI, Model
 from identifiability.measurement.filtering import Lowpass
 from identifiability.measurement.trials import Trial
+from identifiability.progress import Progress, silent
 
 _MOVING = (
     "the joint already moves before the first onset, as K, B and I say it should: the noise is not"
     " known from there"
 )
 
-Progress = Callable[[str, int, int], None]
 T = TypeVar("T")
-
-
-def _silent(what: str, done: int, total: int) -> None:
-    """Report nothing."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +123,7 @@ class Investigation:
         bounds: Mapping[str, tuple[float, float]] | None = None,
         lowpass_hz: Lowpass = "auto",
         kept: Path | None = None,
-        progress: Progress = _silent,
+        progress: Progress = silent,
     ) -> None:
         self.library = dict(EFFECTS if library is None else library)
         split = gather(trials, held_out, lowpass_hz=lowpass_hz)
@@ -255,7 +251,7 @@ def investigate(
     with_widths: bool = True,
     seed: int = 1,
     kept: Path | None = None,
-    progress: Progress = _silent,
+    progress: Progress = silent,
 ) -> Findings:
     """Find out what a joint model misses in recorded trials.
 

@@ -31,6 +31,7 @@ from identifiability.joint.effects import (
     StiffeningHysteresis,
 )
 from identifiability.joint.model import KBI, Model
+from identifiability.progress import Progress, silent
 
 MOST_EFFECTS = 3
 _WORKERS = 2
@@ -42,8 +43,6 @@ _SCREENED = 6  # effects that are fitted at every step after the first
 # when models take longer.
 _WORTH, _LEAST_FINISHED = 0.3, 4
 _WORTH_LATER, _LEAST_LATER = 0.5, 2
-
-Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -133,7 +132,7 @@ class Searcher:
 
     bench: Workbench
     library: dict[str, type[Effect]] = field(default_factory=lambda: dict(EFFECTS))
-    progress: Progress = lambda what, done, total: None
+    progress: Progress = silent
     fitter: Fitter = field(init=False)
     gate: Gate = field(init=False)
 
