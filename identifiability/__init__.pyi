@@ -7,17 +7,25 @@ from .inference.problem import Observation, Prior, Problem, observe
 from .inference.profiles import Profile, profile
 from .inference.quadrature import Moments, quadrature
 from .inference.recordings import RecordingFit, fit_recordings
-from .inference.sampling import Posterior, sample
+from .inference.sampling import Posterior, Sampler, sample
 from .inference.widths import Width, Widths, widths
-from .investigation.investigate import Findings, Investigation, investigate
+from .investigation.findings import Findings
+from .investigation.fits.candidate import Candidate, Residual
+from .investigation.investigate import investigate
 from .investigation.next_experiment import Limits, NextExperiment
 from .investigation.record import investigation_record
-from .investigation.search.search import Search
+from .investigation.rules import Rules
+from .investigation.search.found import Found, Missing, Ranking
+from .investigation.search.gate import Ranked
+from .investigation.search.smallest_seen import Detectable
+from .investigation.session import Investigation
 from .investigation.split import Split
 from .investigation.unexplained.account import Unexplained
 from .investigation.verdict.judge import Verdict
+from .investigation.verdict.reasons import Reason
 from .investigation.where.compare import Comparison
 from .investigation.where.locate import Location
+from .investigation.wording.describe import describe
 from .joint.effects import (
     EFFECTS,
     ActivationLag,
@@ -124,6 +132,7 @@ __all__ = [  # noqa: RUF022 -- in the order of use
     "Profile",
     "sample",
     "Posterior",
+    "Sampler",
     "quadrature",
     "Moments",
     "widths",
@@ -137,9 +146,18 @@ __all__ = [  # noqa: RUF022 -- in the order of use
     "Split",
     "Comparison",
     "Location",
-    "Search",
+    "Rules",
+    "Residual",
+    "Candidate",
+    "Ranked",
+    "Ranking",
+    "Missing",
+    "Found",
+    "Detectable",
     "Unexplained",
     "Verdict",
+    "Reason",
+    "describe",
     "Limits",
     "NextExperiment",
     "investigation_record",

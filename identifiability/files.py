@@ -8,6 +8,7 @@ import tempfile
 import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import fields, is_dataclass
 from pathlib import Path
 from typing import Any
 
@@ -68,7 +69,14 @@ def read_arrays(path: Path) -> dict[str, np.ndarray] | None:
 
 
 def plain(value: Any) -> Any:
-    """Record as JSON knows it: a number that is not finite as ``None``, tuples as lists."""
+    """Record as JSON knows it: a number that is not finite as ``None``, tuples and arrays as lists.
+
+    A dataclass is the dictionary of its fields.
+    """
+    if is_dataclass(value) and not isinstance(value, type):
+        return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
     if isinstance(value, dict):
         return {key: plain(item) for key, item in value.items()}
     if isinstance(value, list | tuple):

@@ -14,7 +14,7 @@ PACKAGE = "identifiability"
 # other.
 LAYERS = (
     ("errors",),
-    ("files", "progress", "provenance"),
+    ("files", "progress", "provenance", "palette"),
     ("sweep",),
     ("measurement",),
     ("joint",),
@@ -140,12 +140,50 @@ def test_no_import_cycles():
         visit(module)
 
 
+# Rooms of the investigation, as the layers above: those in one row do not know each other.
+ROOMS = (
+    ("rules",),
+    ("split",),
+    ("fits",),
+    ("where", "unexplained", "search", "next_experiment"),
+    ("verdict",),
+    ("wording",),
+    ("investigate",),
+    ("record",),
+)
+# The verdict is made of sentences, and takes in this one.
+SENTENCES = {"identifiability.investigation.wording.unexplained"}
+ROOM_RANK = {name: rank for rank, row in enumerate(ROOMS) for name in row}
+
+
+def room_of(module):
+    """Its room, if a module is part of the investigation."""
+    inside = module.removeprefix(f"{PACKAGE}.investigation.")
+    return inside.split(".")[0] if inside != module else ""
+
+
+@pytest.mark.parametrize("module", [m for m in TREES if room_of(m)])
+def test_rooms_of_the_investigation_follow_their_order(module):
+    room = room_of(module)
+    assert room in ROOM_RANK, f"{module} belongs to no room"
+    for imported, node in imports(TREES[module]):
+        other = room_of(imported)
+        if room == "verdict" and imported in SENTENCES:
+            continue
+        assert not other or other == room or ROOM_RANK[other] < ROOM_RANK[room], (
+            f"{module}, line {node.lineno}, imports {imported}, which is not below it"
+        )
+
+
 @pytest.mark.parametrize("module", TREES)
 def test_matplotlib_only_in_plots(module):
     if layer_of(module) == "plots":
         return
     drawing = {"matplotlib", "corner", "seaborn"}
-    found = [m for m, _ in imports(TREES[module]) if m.split(".")[0] in drawing]
+    # Views draw on axes that they are handed: they know their type, and no more.
+    for_types = room_of(module) != "where"
+    found = [m for m, _ in imports(TREES[module], for_types=for_types)]
+    found = [m for m in found if m.split(".")[0] in drawing]
     assert not found, f"{module} imports {found}"
 
 

@@ -1,7 +1,5 @@
 """The low-pass filter of imposed angles: it cuts off what is noise, and the inertia stays."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from scipy import signal
@@ -9,7 +7,7 @@ from scipy import signal
 from identifiability.errors import InputError
 from identifiability.inference.fitting import fit
 from identifiability.inference.problem import Prior
-from identifiability.inference.recordings import prepare, recording_problem, whole
+from identifiability.inference.recordings import recording_problem, whole
 from identifiability.investigation.split import gather
 from identifiability.joint.model import KBI
 from identifiability.joint.response import simulate
@@ -21,6 +19,7 @@ from identifiability.measurement.filtering import (
     stride,
 )
 from identifiability.measurement.perturbations import SampledTorque
+from identifiability.measurement.prepared import prepare
 from identifiability.measurement.trials import Trial
 
 JOINT = (3.0, 0.2, 0.15)
@@ -83,7 +82,7 @@ def test_a_motion_that_falls_to_half_the_sampling_rate_is_no_noise(rate):
     angle *= 0.3 / angle.std()
     trial = Trial(np.arange(4000) / rate, random.standard_normal(4000), angle, driven="angle")
     assert noise_cutoff([trial]) == min(HIGHEST_HZ, 0.4 * rate)
-    assert prepare(trial, KBI()).interval > 0
+    assert prepare([trial])[0].interval > 0
 
 
 def test_trials_share_one_cutoff():
@@ -107,9 +106,7 @@ def test_settings():
 def test_rounding_of_a_coarse_encoder_no_longer_makes_the_inertia_too_small():
     trial = rounded(swing(until=1.0))
     assert noise_cutoff([trial]) < 20
-    by_itself, usual = (
-        inertia(prepare(trial, KBI(), lowpass_hz=hz)) for hz in ("auto", HIGHEST_HZ)
-    )
+    by_itself, usual = (inertia(prepare([trial], lowpass_hz=hz)[0]) for hz in ("auto", HIGHEST_HZ))
     assert by_itself == pytest.approx(JOINT[2], rel=0.1)
     assert usual < 0.5 * JOINT[2]  # what rounding does to it otherwise
 
@@ -132,8 +129,8 @@ def test_the_ends_of_the_filter_are_not_compared():
     ready = gather([trial, trial], lowpass_hz=50.0).fitted[0]
     assert ready.first == 0  # it begins at rest
     assert ready.last * ready.drive.interval == pytest.approx(0.3 - 2 / 50, abs=0.005)
-    prepared = prepare(trial, KBI(), lowpass_hz=50.0)
-    by_all = replace(prepared, settled=(0, prepared.time.size))
+    (prepared,) = prepare([trial], lowpass_hz=50.0)
+    by_all = prepared.part(0, prepared.response.size)
     assert residual(prepared, joint) < 1e-5
     assert residual(by_all, joint) > 1e-3  # what the ends would add
 

@@ -1,5 +1,7 @@
 """Where a model fails, and whether K, B and I are constant: on joints whose effects are known."""
 
+import json
+from dataclasses import dataclass, fields
 from functools import cache
 
 import numpy as np
@@ -7,15 +9,22 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from scipy import stats
 
+from identifiability.errors import InputError
+from identifiability.inference.starts import starting_values
 from identifiability.investigation.fits.bench import Workbench
 from identifiability.investigation.fits.candidate import NOTHING
 from identifiability.investigation.fits.refits import Refits, correlation_time, without_levels
-from identifiability.investigation.fits.starts import starting_values
+from identifiability.investigation.rules import Rules
 from identifiability.investigation.split import gather
 from identifiability.investigation.where.compare import compare
 from identifiability.investigation.where.imposed import imposed, starts
+from identifiability.investigation.where.in_time import TimeView
 from identifiability.investigation.where.locate import locate
+from identifiability.investigation.where.record import comparison_record, location_record
+from identifiability.investigation.where.view import Panel, View
+from identifiability.investigation.where.views import VIEWS
 from identifiability.investigation.where.whitening import Portion, excess, whitening
+from identifiability.investigation.wording.describe import describe
 from identifiability.joint.effects.coulomb_friction import CoulombFriction
 from identifiability.joint.effects.cubic_stiffness import CubicStiffness
 from identifiability.joint.effects.quadratic_stiffness import QuadraticStiffness
@@ -100,6 +109,12 @@ FAST_REFLEX = (
 )
 
 
+def risen(constancy, parameter):
+    """Whether a change of a parameter is one that is named, and upward."""
+    change = next(c for c in constancy.changes if c.parameter == parameter)
+    return change.notable and change.after > change.before
+
+
 def upper_bound(n, rate=0.05):
     """Most false alarms that chance allows, but for one run in a thousand."""
     return stats.binom.ppf(0.999, n, rate)
@@ -118,7 +133,8 @@ def test_a_joint_that_is_K_B_and_I_raises_few_alarms(correlation, level):
         bench, candidate = fitted(trials)
         location, comparison = locate(bench, candidate), compare(bench, candidate)
         assert location.noise_known
-        assert location.time.latency is None or location.time.significant
+        time = location.views["time"]
+        assert time.latency is None or time.significant
         for name in alarms:
             alarms[name] += location.views[name].significant
         for name in aspects:
@@ -220,18 +236,19 @@ def test_conditions_that_are_named_are_kept():
 
 def test_a_cubic_spring_is_odd_and_does_not_scale():
     comparison, location = findings(*CUBIC)
-    assert location.direction.odd_significant
-    assert not location.direction.even_significant
-    assert location.direction.p_odd < 1e-6
-    assert location.amplitude.significant
-    assert "not linear" in location.amplitude.sentence
-    assert location.state.significant
-    assert location.state.angle.share > max(0.6, location.state.velocity.share)
+    direction, state = location.views["direction"], location.views["state"]
+    assert direction.odd_significant
+    assert not direction.even_significant
+    assert direction.p_odd < 1e-6
+    assert location.views["amplitude"].significant
+    assert all(gain > 0 for gain in location.views["amplitude"].gains)
+    assert state.significant
+    assert state.angle.share > max(0.6, state.velocity.share)
     size = comparison.by("amplitude")
     assert size.significant
     small, large = (group.values[0] for group in size.groups)
     assert 20 < small < large
-    assert "K rises" in size.sentence
+    assert risen(size, "K")
     assert not comparison.by("direction").significant
 
 
@@ -239,8 +256,9 @@ def test_a_one_sided_spring_is_even():
     own = (("coefficient", 60.0), ("hardening", 0.0))
     values = (("K", 30.0), *((f"quadratic_stiffness.{name}", value) for name, value in own))
     comparison, location = findings(KBI() + QuadraticStiffness(), values)
-    assert location.direction.even_significant
-    assert location.direction.p_even < location.direction.p_odd
+    direction = location.views["direction"]
+    assert direction.even_significant
+    assert direction.p_even < direction.p_odd
     positive, negative = (g.values[0] for g in comparison.by("direction").groups)
     assert positive > negative
     assert comparison.by("direction").significant
@@ -253,19 +271,19 @@ def test_friction_depends_on_the_velocity():
         if name not in JOINT
     )
     _, location = findings(KBI() + CoulombFriction(), values)
-    assert location.state.significant
-    assert location.state.velocity.share > location.state.angle.share
-    assert location.amplitude.significant
+    state = location.views["state"]
+    assert state.significant
+    assert state.velocity.share > state.angle.share
+    assert location.views["amplitude"].significant
 
 
 def test_a_reflex_shows_after_its_delay_and_is_linear():
     comparison, location = findings(KBI() + StretchReflex(), FAST_REFLEX)
-    assert 0.055 <= location.time.latency <= 0.1
-    assert "ms, no longer" in location.time.sentence
-    assert not location.amplitude.significant
-    assert "linear" in location.amplitude.sentence
-    assert not location.direction.even_significant
-    assert location.direction.odd_significant
+    assert 0.055 <= location.views["time"].latency <= 0.1
+    assert not location.views["amplitude"].significant
+    assert location.views["amplitude"].misfit
+    assert not location.views["direction"].even_significant
+    assert location.views["direction"].odd_significant
     window = comparison.by("window")
     assert window.significant
     # Within the delay the joint is what the model says it is.
@@ -280,18 +298,19 @@ def test_a_tendon_changes_K_with_the_window_alone():
     assert [group.label for group in window.groups] == ["50 ms", "100 ms", "200 ms"]
     stiffness = [group.values[0] for group in window.groups]
     assert stiffness[0] > stiffness[1] > stiffness[2]
-    assert "K rises" in window.sentence
-    assert "should not if the model is right" in window.sentence
+    assert risen(window, "K")
+    assert (window.changes[0].first, window.changes[0].second) == ("200 ms", "50 ms")
     assert not comparison.by("amplitude").significant
     assert not comparison.by("direction").significant
-    assert location.time.significant
-    assert location.frequency.significant
-    assert location.frequency.coherent.any()
-    assert location.direction.odd_significant
-    assert not location.direction.even_significant
-    assert not location.amplitude.significant
-    assert location.trials.significant
-    assert location.trials.flags.all()
+    views = location.views
+    assert views["time"].significant
+    assert views["frequency"].significant
+    assert views["frequency"].coherent.any()
+    assert views["direction"].odd_significant
+    assert not views["direction"].even_significant
+    assert not views["amplitude"].significant
+    assert views["trials"].significant
+    assert views["trials"].flags.all()
 
 
 def test_with_the_tendon_in_the_model_nothing_changes_any_more():
@@ -301,9 +320,9 @@ def test_with_the_tendon_in_the_model_nothing_changes_any_more():
     assert candidate.fitted.error == pytest.approx(bench.split.noise_floor(), rel=0.2)
     assert not compare(bench, candidate).by("window").significant
     location = locate(bench, candidate)
-    assert not location.time.significant
-    assert not location.direction.significant
-    assert location.time.latency is None
+    assert not location.views["time"].significant
+    assert not location.views["direction"].significant
+    assert location.views["time"].latency is None
 
 
 # Tables
@@ -355,32 +374,35 @@ def test_without_a_quiet_lead_the_noise_is_unknown():
     bench, candidate = fitted(recorded(*CUBIC, first=LEAD - 5))
     comparison, location = compare(bench, candidate), locate(bench, candidate)
     assert not location.noise_known
-    assert not location.frequency.flags.any()
-    assert "unknown" in location.time.sentence
-    assert "unknown" in location.trials.sentence
-    assert location.direction.odd_significant
+    assert not any(view.noise_known for view in location.views.values())
+    assert not location.views["frequency"].flags.any()
+    assert location.views["direction"].odd_significant
     assert all(row.noise_ratio is None for row in comparison.trials)
     assert comparison.by("amplitude").groups
 
 
-def test_views_that_are_not_possible_say_so():
+def test_views_that_are_not_possible_say_so_and_are_not_drawn():
     loads = LOADS[:1]
     trials = recorded(KBI(), loads=loads)
     bench, candidate = fitted(trials)
     comparison, location = compare(bench, candidate), locate(bench, candidate)
-    assert "No two trials" in location.direction.sentence
-    assert "No two trials" in location.amplitude.sentence
-    assert np.isnan(location.frequency.coherence).all()
+    views = location.views
+    assert views["direction"].pairs == views["amplitude"].pairs == ()
+    assert not views["direction"].panels()
+    assert not views["amplitude"].panels()
+    assert not views["trials"].panels()
+    assert np.isnan(views["frequency"].coherence).all()
+    assert not views["frequency"].coherence_known
+    assert all(location.sentences)
     for aspect in ("amplitude", "direction", "condition", "trial"):
         found = comparison.by(aspect)
         assert not found.groups
         assert not found.significant
         assert found.p_value == 1.0
-        assert found.sentence.startswith(("All", "There is one"))
+        assert found.changes == ()
     assert comparison.by("window").groups
     shown = {panel.get_title(loc="left") for panel in where_figure(location).axes}
-    assert "by trial" not in shown  # one trial: there is nothing to draw
-    assert "by size" in shown
+    assert shown == {"by time", "by frequency", "by angle", "by velocity"}
     figure = comparison_figure(comparison)
     # The title is not cut off where there is but one aspect.
     FigureCanvasAgg(figure).draw()
@@ -408,11 +430,112 @@ def test_perturbations_of_a_long_record_have_levels_of_their_own():
         for group in comparison.by(aspect).groups:
             assert group.values[0] == pytest.approx(80, rel=0.05), aspect
     assert {g.label for g in comparison.by("direction").groups} == {"positive", "negative"}
-    assert location.time.edges[-1] < 0.3
+    assert location.views["time"].edges[-1] < 0.3
     assert not location.noise_known
-    assert "angle" in location.frequency.sentence
+    assert location.views["frequency"].driven == "angle"
     where_figure(location)
     responses_figure(bench.split, candidate)
+
+
+# A view is one file and one line
+
+
+@dataclass(frozen=True, eq=False)
+class ToyView(View):
+    """Largest residual of each trial."""
+
+    name = "toy"
+
+    largest: np.ndarray
+
+    @classmethod
+    def of(cls, scene):
+        return cls(True, scene.noise.known, np.array([b.values.max() for b in scene.blocks]))
+
+    def words(self):
+        return f"The largest residual is {self.largest.max():.0f} times the noise."
+
+    def panels(self):
+        return (Panel("toy", lambda axes: axes.plot(self.largest)),)
+
+
+def test_a_view_of_ones_own_is_found_in_location_sentences_record_and_figure():
+    bench, candidate = fitted(recorded(*TENDON))
+    location = locate(bench, candidate, (TimeView, ToyView))
+    toy = location.views["toy"]
+    assert toy.largest.size == len(bench.split.fitted)
+    assert location.sentences == (location.views["time"].words(), toy.words())
+    assert location_record(location)["views"]["toy"]["largest"] == toy.largest.tolist()
+    drawn = {axes.get_title(loc="left"): axes for axes in where_figure(location).axes}
+    assert drawn["toy"].lines[0].get_ydata() == pytest.approx(toy.largest)
+
+
+def test_names_of_views_and_titles_of_panels_are_their_own():
+    names = [view.name for view in VIEWS]
+    assert len(set(names)) == len(names)
+    _, location = findings(*TENDON)
+    assert list(location.views) == names
+    titles = [panel.title for view in location.views.values() for panel in view.panels()]
+    assert len(set(titles)) == len(titles) > len(names)
+
+
+# Records
+
+
+def test_records_are_json_and_whole():
+    loads = LOADS[:1]
+    alone = fitted(recorded(KBI(), loads=loads))
+    for comparison, location in (findings(*TENDON), (compare(*alone), locate(*alone))):
+        record = {
+            "comparison": comparison_record(comparison),
+            "location": location_record(location),
+        }
+        assert json.loads(json.dumps(record, allow_nan=False)) == record
+        window = comparison.by("window")
+        stored = record["comparison"]["constancy"]["window"]
+        assert stored["p_value"] == window.p_value
+        assert stored["groups"][0]["errors"] == window.groups[0].errors.tolist()
+        assert stored["changes"][0]["parameter"] == "K"
+        assert record["comparison"]["trials"][0]["error"] == comparison.trials[0].error
+        time = location.views["time"]
+        found = record["location"]["views"]["time"]
+        assert found["edges"] == time.edges.tolist()
+        assert found["flags"] == time.flags.tolist()
+        for name, view in location.views.items():
+            assert set(record["location"]["views"][name]) == {f.name for f in fields(view)}
+    assert set(record["location"]["views"]["frequency"]["coherence"]) == {None}
+
+
+# Rules
+
+
+def test_the_rules_decide_and_results_carry_what_they_were_judged_by():
+    trials = recorded(*TENDON)
+    anything = Rules(false_discoveries=1.0, notable=1e6)
+    bench = Workbench(gather(trials, trials[:1], rules=anything))
+    candidate = bench.fit(KBI(), [JOINT])
+    comparison, location = compare(bench, candidate), locate(bench, candidate)
+    assert comparison.level == location.level == 1.0
+    assert all(c.significant for c in comparison.constancy)
+    assert location.views["frequency"].flags.all()
+    usual, usually = findings(*TENDON)
+    assert usual.level == usually.level == Rules().false_discoveries
+    assert not all(c.significant for c in usual.constancy)
+    assert not usually.views["frequency"].flags.all()
+    # Where no change is clear, the clearest alone is named.
+    assert [sum(c.notable for c in a.changes) for a in comparison.constancy] == [1] * 5
+
+
+# Words
+
+
+def test_every_result_is_described():
+    comparison, location = findings(*TENDON)
+    assert len(describe(comparison)) == len(comparison.constancy)
+    assert describe(location) == location.sentences
+    assert len(set(describe(location))) == len(VIEWS)
+    with pytest.raises(InputError, match="Comparison"):
+        describe(3)
 
 
 # Figures

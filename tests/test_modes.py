@@ -34,7 +34,7 @@ def test_a_contradiction_of_the_quadrature_is_not_passed_over():
         bounds=(0.0, 2000.0),
         pinned=(),
         at_bound=(),
-        converged=True,
+        unmet=(),
         referee="sampling gives 2, quadrature 20",
     )
     assert (verdict, reason) == ("not converged", "sampling gives 2, quadrature 20")

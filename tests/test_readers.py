@@ -11,8 +11,13 @@ from hypothesis import strategies as st
 from scipy import io
 
 from identifiability.errors import InputError
-from identifiability.measurement.columns import parse_columns
-from identifiability.measurement.readers import read_trial
+from identifiability.measurement.readers import (
+    READERS,
+    Table,
+    parse_columns,
+    read_trial,
+    readable_files,
+)
 from identifiability.measurement.trials import Trial, onsets, quiet_lead
 from identifiability.measurement.units import parse_unit
 
@@ -311,7 +316,11 @@ NO_HEADER = text_of(TIME, TORQUE, ANGLE, header="")
         (NO_HEADER, {"columns": BY_INDEX, "rate": 500.0}, "given as 500 Hz, but .* has 1000 Hz"),
         (NO_HEADER, {"columns": BY_INDEX, "rate": -1.0}, "rate is -1.0 Hz, but must be above 0"),
         (NO_HEADER, {"columns": BY_INDEX, "rate": math.nan}, "rate is nan Hz"),
-        (NO_HEADER, {"columns": BY_INDEX, "variable": "z"}, "only .mat files hold variables"),
+        (
+            NO_HEADER,
+            {"columns": BY_INDEX, "variable": "z"},
+            "variable .z. is named, but .csv files hold none",
+        ),
         (NO_HEADER, {"columns": BY_INDEX, "driven": "force"}, "driven is 'force'"),
         (text_of(TIME[:1], TORQUE[:1], ANGLE[:1]), {}, "at least 3 samples, found 1"),
         (text_of(TIME, TORQUE, 0 * ANGLE), {}, "angle is constant"),
@@ -358,6 +367,36 @@ def test_paths_that_are_no_recording(tmp_path, name, sentence):
     (tmp_path / "notes.docx").write_text("x")
     with pytest.raises(InputError, match=sentence):
         read_trial(tmp_path / name)
+
+
+# A format of one's own
+
+
+def read_pairs(path, options):
+    """Pairs of angle [deg] and torque [Nm], as binary numbers."""
+    options.refuse_variable(path.suffix)
+    angle, torque = np.fromfile(path).reshape(-1, 2).T
+    return Table((angle, torque), ("angle_deg", "torque_Nm"), range(1, angle.size + 1))
+
+
+def test_a_reader_is_one_line(tmp_path, monkeypatch):
+    path = written(tmp_path, np.stack([np.degrees(ANGLE), TORQUE], axis=1).tobytes(), "a.PAIRS")
+    with pytest.raises(InputError, match=r"'.pairs' are not read"):
+        read_trial(path, rate=1000.0)
+    monkeypatch.setitem(READERS, ".pairs", read_pairs)
+    assert_same(read_trial(path, rate=1000.0))
+    assert_same(read_trial(path, rate=1000.0, restoring=True), torque=-TORQUE)
+    with pytest.raises(InputError, match="variable 'z' is named"):
+        read_trial(path, rate=1000.0, variable="z")
+
+
+def test_a_folder_is_the_readable_files_in_it(tmp_path, monkeypatch):
+    for name in ("b.csv", "a.mat", "c.PAIRS", "report.html"):
+        written(tmp_path, b"x", name)
+    assert [f.name for f in readable_files([tmp_path])] == ["a.mat", "b.csv"]
+    monkeypatch.setitem(READERS, ".pairs", read_pairs)
+    found = readable_files([tmp_path / "report.html", tmp_path])
+    assert [f.name for f in found] == ["report.html", "a.mat", "b.csv", "c.PAIRS"]
 
 
 # MATLAB files

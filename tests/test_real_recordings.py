@@ -6,9 +6,8 @@ from identifiability.investigation.investigate import Investigation
 from identifiability.investigation.search.gate import does_as_well
 from identifiability.joint.effects import EFFECTS
 from identifiability.joint.model import KBI
-from identifiability.measurement.columns import parse_columns
 from identifiability.measurement.filtering import noise_cutoff
-from identifiability.measurement.readers import read_trial
+from identifiability.measurement.readers import parse_columns, read_trial
 
 
 def test_the_silverbox_has_a_cubic_spring_and_neither_a_quadratic_one_nor_friction(shared_data):

@@ -6,21 +6,22 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from identifiability.cli.fit import record as record_of
 from identifiability.cli.main import main
 from identifiability.inference.fitting import fit
 from identifiability.inference.problem import Prior
 from identifiability.inference.recordings import (
     fit_recordings,
     goodness,
-    integrated_autocorrelation,
-    prepare,
     recording_problem,
     whole,
     windows,
 )
+from identifiability.investigation.investigate import Investigation
 from identifiability.joint.model import KBI
 from identifiability.measurement import example
-from identifiability.measurement.noise import Noise
+from identifiability.measurement.noise import Noise, correlation_time
+from identifiability.measurement.prepared import prepare
 from identifiability.measurement.trials import Trial
 
 K, B, INERTIA = 60.0, 1.2, 0.08
@@ -62,7 +63,7 @@ def test_imposed_angle_windows_agree_with_the_whole(angle_fit):
 def test_a_wrong_sign_of_the_torque_is_not_fitted():
     trial = imposed_angle_trial(0.05)
     wrong = Trial(trial.time, -trial.torque, trial.angle, driven="angle")
-    prepared = prepare(wrong, KBI())
+    (prepared,) = prepare([wrong])
     problem = recording_problem(
         [prepared], [whole(prepared)], model=KBI(), prior=Prior.physical(KBI())
     )
@@ -81,15 +82,60 @@ def test_example_trials_are_what_their_generator_writes(tmp_path):
         np.testing.assert_allclose(trial.angle, made[:, 2], atol=2e-6)
 
 
-def test_example_windows_contradict_each_other():
-    result = fit_recordings(example.example_trials(), window_lengths=[0.1, 0.2], seed=1)
-    short, long = (w.widths["K"].posterior_95 for w in result.windows)
+@pytest.fixture(scope="module")
+def example_fit():
+    return fit_recordings(example.example_trials(), window_lengths=[0.1, 0.2], seed=1)
+
+
+def test_example_windows_contradict_each_other(example_fit):
+    short, long = (w.widths["K"].posterior_95 for w in example_fit.windows)
     assert short[0] > long[1]
-    assert result.goodness.vaf > 98
+    assert example_fit.goodness.vaf > 98
+
+
+@pytest.mark.parametrize(
+    ("trials", "fitted"),
+    [(example.example_trials, "example_fit"), (lambda: [imposed_angle_trial(0.05)], "angle_fit")],
+    ids=["torque", "angle"],
+)
+def test_both_commands_see_the_same_numbers(trials, fitted, request):
+    fitted = request.getfixturevalue(fitted)
+    study = Investigation(trials())
+    split = study.split
+    parts = (*split.fitted, *split.held_out)
+    assert {p.name for p in fitted.prepared} == {p.name for p in parts}
+    ours = {p.name: p for p in fitted.prepared}
+    for theirs in parts:
+        mine = ours[theirs.name]
+        np.testing.assert_array_equal(mine.response, theirs.response)
+        np.testing.assert_array_equal(mine.drive.states, theirs.drive.states)
+        np.testing.assert_array_equal(mine.onsets, theirs.onsets)
+        assert mine.interval == theirs.interval
+        assert mine.recorded_lead == theirs.recorded_lead
+        assert mine.treatment == theirs.treatment
+        assert mine.has_offset == theirs.has_offset
+    # The same samples are held out, and K, B, I of the others agree: one trial's weight is no
+    # matter.
+    held = fitted.held_out
+    assert held.held_out == split.how_held_out
+    (part,) = split.fitted
+    assert held.goodness_fitted.n_samples == part.last - part.first
+    candidate = study.fit(KBI())
+    for name in ("K", "B", "I"):
+        assert held.fit[name] == pytest.approx(candidate.values[name], rel=1e-4)
+    assert held.goodness_fitted.error == pytest.approx(candidate.fitted.error, rel=1e-6)
+    assert held.goodness_held_out.error == pytest.approx(candidate.held_out.error, rel=1e-3)
+    # Both write it down, in the same words.
+    written = json.loads(json.dumps(record_of(fitted)))["trials"]
+    of_part = json.loads(json.dumps(part.record()))
+    same = next(t for t in written if t["name"] == part.name)
+    assert same["notes"] == of_part["notes"]
+    for key in ("level", "lowpass_hz", "decimation", "lead"):
+        assert same["preparation"][key] == of_part["preparation"][key]
 
 
 def test_window_selection_skips_windows_that_overlap_the_next_perturbation():
-    prepared = prepare(imposed_angle_trial(0.0), KBI())
+    (prepared,) = prepare([imposed_angle_trial(0.0)])
     fitting = windows(prepared, 0.2)
     assert fitting.stretches == 19
     with pytest.raises(ValueError, match="choose a shorter window"):
@@ -97,11 +143,11 @@ def test_window_selection_skips_windows_that_overlap_the_next_perturbation():
 
 
 @pytest.mark.parametrize("time", [0.0, 0.004, 0.02])
-def test_integrated_autocorrelation_of_known_noise(time):
+def test_correlation_time_of_known_noise(time):
     noise = Noise(1.0, time)
     rho = noise.lag_correlation(1e-3)
     expected = (1 + rho) / (1 - rho)
-    found = integrated_autocorrelation(noise.draw(200_000, 1e-3, seed=5))
+    found = correlation_time(noise.draw(200_000, 1e-3, seed=5))
     # The window of the sum leaves out e^-5 of it; the rest is scatter.
     assert found == pytest.approx(expected, rel=0.12)
 
@@ -114,7 +160,7 @@ def test_ankle(shared_data, tmp_path):
     assert main(["fit", path, *options, "--out", str(tmp_path)]) == 0
     record = json.loads((tmp_path / "fit.json").read_text())
     held_out = record["held_out"]
-    assert held_out["held_out"] == "the second half"
+    assert held_out["rule"] == "second half"
     assert 85 < held_out["vaf_held_out"] < 88.5
     assert 0.015 < held_out["parameters"]["I"] < 0.0175
 

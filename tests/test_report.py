@@ -7,16 +7,19 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from test_investigation import HELD, JOINT, trials
+from hidden import HELD, JOINT, trials
 
 from identifiability.files import plain
-from identifiability.investigation.investigate import Investigation, investigate
-from identifiability.investigation.next_experiment import RESOLVED, Limits, next_experiment
+from identifiability.investigation.investigate import investigate
+from identifiability.investigation.next_experiment import Limits, next_experiment
 from identifiability.investigation.record import investigation_record
+from identifiability.investigation.rules import Rules
+from identifiability.investigation.search.found import Ranking
 from identifiability.investigation.search.gate import Ranked
-from identifiability.investigation.search.search import Ranking
 from identifiability.investigation.search.smallest_seen import detectable
+from identifiability.investigation.session import Investigation
 from identifiability.investigation.verdict.pinned import not_pinned_down
+from identifiability.investigation.wording.pinned import loose_sentence
 from identifiability.joint.effects import EFFECTS
 from identifiability.joint.model import KBI
 from identifiability.plots.investigation import error_text, ranking_figure, widths_figure
@@ -68,7 +71,7 @@ def test_a_larger_torque_tells_springs_apart_better(quiet_study):
         for design in (r.best, *r.others):
             assert design.amplitude == design.peak_torque <= r.limits.torque
             assert design.peak_angle <= r.limits.angle
-        assert r.resolved == (r.best.expected_evidence >= RESOLVED)
+        assert r.resolved == (r.best.expected_evidence >= Rules().resolved)
 
 
 def test_an_imposed_motion_keeps_within_the_limit_of_torque():
@@ -133,7 +136,9 @@ def test_what_is_said_of_a_parameter_that_is_not_pinned_down(optimum, interval, 
         profile_sides=sides,
         verdict="agrees",
     )
-    found = " ".join(not_pinned_down(SimpleNamespace(rows=[row])))
+    found = " ".join(
+        map(loose_sentence, not_pinned_down(SimpleNamespace(rows=[row]), Rules().loose))
+    )
     assert (said in found) if said else not found
 
 
@@ -148,14 +153,14 @@ def test_every_row_of_a_ranking_lies_within_its_axes(quiet_study):
     wild = replace(base, held_out=replace(base.held_out, errors=np.array([1e197])))
     failed = replace(base, failure="no")
     ranking = tuple(
-        Ranked(key, found, evidence, 0.0, False, "")
+        Ranked(key, found, evidence, 0.0, "no evidence")
         for key, found, evidence in (
             ("quadratic_stiffness", with_effect(base, "quadratic_stiffness"), 50.0),
             ("cubic_stiffness", with_effect(wild, "cubic_stiffness"), -3.0),
             ("gravity", with_effect(failed, "gravity"), -np.inf),
         )
     )
-    axes = ranking_figure(Ranking(base, ranking, "")).axes[0]
+    axes = ranking_figure(Ranking(base, ranking, "", 10.0)).axes[0]
     texts = [t for t in axes.texts if t.get_text()]
     assert [t.get_text() for t in texts][1:] == ["E held out diverges", "no fit"]
     low, high = sorted(axes.get_ylim())
@@ -196,6 +201,7 @@ def test_a_failed_candidate_is_shown_and_does_not_stop_the_rest(tmp_path):
         library=SMALL | {"explosive": Explosive},
         seed=3,
     )
+    assert findings.warnings == ()
     assert findings.verdict.kind == "explained"
     assert findings.verdict.effects == ("cubic_stiffness",)
     record = investigation_record(findings, command="identifiability investigate trials")
@@ -229,7 +235,7 @@ def test_a_number_without_unit_keeps_its_digits(quiet_study):
     model = KBI() + EFFECTS["nonlinear_tendon"]()
     own = dict(zip(model.parameter_names[3:], (150.0, 11.0, 0.51), strict=True))
     found = replace(base, model=model, values=JOINT | own, free=model.parameter_names)
-    row = _ranking_row(Ranked("nonlinear_tendon", found, 12.0, 0.1, True, ""))
+    row = _ranking_row(Ranked("nonlinear_tendon", found, 12.0, 0.1))
     assert row[1] == "physics"
     assert row[5] == "stiffness 150 Nm/rad, hardening 11 1/rad, asymmetry 0.51"
 

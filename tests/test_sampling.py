@@ -8,10 +8,11 @@ import scipy.stats
 import xarray
 from cases import SPREAD, Case, fit_of, moments_of, problem_of, seed_of, widths_of
 
-from identifiability.inference import sampling
+from identifiability.inference import convergence, sampling
+from identifiability.inference.convergence import diagnose, nested_ratio, rhat_nested
 from identifiability.inference.curvature import curvature
 from identifiability.inference.proposals import StudentMixture, laplace_t
-from identifiability.inference.sampling import diagnose, sample
+from identifiability.inference.sampling import sample
 
 # Truncated by a bound and curved, so that a wrong sampler has something to get wrong.
 REFERENCE = Case(32, 3.2, 100, 0.1)
@@ -199,23 +200,57 @@ def test_walkers_that_begin_far_away_do_not_pass_for_convergence(monkeypatch):
     monkeypatch.setattr(sampling, "_pilot", lambda *_: far)
     posterior = drawn(REFERENCE, effort=0.05)
     assert not posterior.converged
-    assert posterior.rhat.max() > sampling.RHAT_LIMIT
-    assert posterior.ess_bulk.min() < sampling.ESS_LIMIT
+    assert posterior.rhat.max() > convergence.RHAT_LIMIT
+    assert posterior.rhat_nested.max() > convergence.RHAT_LIMIT
+    assert posterior.ess_bulk.min() < convergence.ESS_LIMIT
 
 
 def test_walkers_that_stay_where_they_begin_do_not_pass_for_convergence(monkeypatch):
-    # A proposal far from the posterior and narrow: one of its draws outweighs all others, every
-    # walker begins there, and none is ever moved. Chains that are all the same agree.
+    # A proposal far from the posterior and narrow: a few of its draws outweigh all others, every
+    # ensemble begins at one of them, and hardly a walker is ever moved.
     problem, best = problem_of(GAUSSIAN), fit_of(GAUSSIAN).values
     off = laplace_t(
         best * 1.2, 1e6 * curvature(problem, best).hessian, problem.lower, problem.upper
     )
     monkeypatch.setattr(sampling, "_laplace", lambda *_: off)
-    posterior = drawn(GAUSSIAN, evolve=False)
-    assert len(np.unique(posterior.flat[:, 0])) < sampling.ESS_LIMIT
-    assert posterior.rhat.max() < sampling.RHAT_LIMIT  # which is why it cannot be relied on
-    assert posterior.ess_bulk.min() > sampling.ESS_LIMIT
+    posterior = drawn(GAUSSIAN, quick=True)
+    assert posterior.rhat_nested.min() > 2
     assert not posterior.converged
+
+
+def narrow_run(begin_apart):
+    """Ensembles under a proposal 24 times too narrow, from one point or from points of their own.
+
+    Returns the posterior and its sd in that of the quadrature.
+    """
+    problem, best = problem_of(GAUSSIAN), fit_of(GAUSSIAN).values
+    hessian = 24.0**2 * curvature(problem, best).hessian
+    proposal = laplace_t(best, hessian, problem.lower, problem.upper)
+    seeds = np.random.SeedSequence(0).spawn(2)
+    start = sampling._try(problem, proposal, seeds[0], 4096)
+    if not begin_apart:
+        start = start._replace(apart=best[None].repeat(sampling.N_ENSEMBLES, axis=0))
+    found = sampling._independent(
+        problem, proposal, start, "laplace-t", "", 0, seeds[1], 512, effort=1.0
+    )
+    return found, found.sd / moments_of(GAUSSIAN).sd
+
+
+def test_an_sd_six_times_too_small_does_not_pass_for_convergence():
+    fooled, share = narrow_run(begin_apart=False)
+    assert np.all(share < 1 / 6)
+    # From one point everything agrees: which is why each ensemble begins at a point of its own.
+    assert fooled.rhat.max() < convergence.RHAT_LIMIT
+    assert min(fooled.ess_bulk.min(), fooled.ess_tail.min()) > convergence.ESS_LIMIT
+    caught, _ = narrow_run(begin_apart=True)
+    assert caught.rhat_nested.min() > 1.1
+    assert not caught.converged
+    assert any("nested R-hat" in reason for reason in caught.unmet)
+    # The control: the right proposal, from points of their own.
+    right = drawn(GAUSSIAN)
+    assert right.step == "laplace-t"
+    assert right.rhat_nested.max() < 1.001
+    assert right.unmet == ()
 
 
 def test_the_smallest_effort_still_takes_a_step():
@@ -223,7 +258,7 @@ def test_the_smallest_effort_still_takes_a_step():
 
 
 def test_failed_steps_are_named(monkeypatch):
-    monkeypatch.setattr(sampling, "RHAT_LIMIT", 0.5)
+    monkeypatch.setattr(convergence, "RHAT_LIMIT", 0.5)
     posterior = drawn(REFERENCE, effort=0.04)
     assert posterior.step == "differential evolution"
     assert "the Laplace t did not converge" in posterior.reason
@@ -341,6 +376,68 @@ def test_diagnostics_are_those_of_arviz():
         assert bulk[i] == float(arviz.ess(data)[name])
         assert tail[i] == float(arviz.ess(data, method="tail", prob=(0.05, 0.95))[name])
         assert mcse[i] == float(arviz.mcse(data, method="sd")[name])
+
+
+# Nested R-hat, on ensembles whose properties are known
+
+
+def test_nested_rhat_of_a_case_worked_by_hand():
+    beat = np.array([-1.0, 1.0, -1.0, 1.0])
+    x = beat + np.array([[[0.0], [2.0]], [[4.0], [6.0]]])
+    # Within: 4/3 in a walker's time and 2 between walkers; between the ensembles' means 8.
+    assert nested_ratio(x) == pytest.approx(np.sqrt(1 + 8 / (4 / 3 + 2)))
+    assert nested_ratio(x[:, :, :1]) == pytest.approx(np.sqrt(1 + 8 / 2))
+    assert nested_ratio(x[:, :1]) == pytest.approx(np.sqrt(1 + 8 / (4 / 3)))
+    assert nested_ratio(np.zeros((2, 2, 4))) == np.inf
+
+
+def test_nested_rhat_is_one_of_ranks():
+    x = np.random.default_rng(0).standard_normal((4, 32, 8))
+    both = rhat_nested(np.stack([x, np.exp(3 * x)], axis=-1))
+    squares = np.abs(x - np.median(x))
+    assert both[0] == pytest.approx(max(nested_ratio(x), nested_ratio(squares)), abs=0.01)
+    # Folding is about the median, which the exponential distorts; ranks are the same.
+    assert both[1] < 1.01
+    assert rhat_nested(np.stack([2 * x - 5], axis=-1))[0] == pytest.approx(both[0], abs=1e-9)
+
+
+def wandering(rng, begin, step, steps, walkers=128):
+    """Random walks on a standard normal: four ensembles, each from one point; the last 25 steps."""
+    x = np.repeat(begin[:, None], walkers, axis=1)
+    kept = []
+    for _ in range(steps):
+        new = x + step * rng.standard_normal(x.shape)
+        accept = np.log(rng.uniform(size=x.shape)) < 0.5 * (x**2 - new**2)
+        x = np.where(accept, new, x)
+        kept.append(x)
+    return np.stack(kept[-25:], axis=-1)
+
+
+def test_many_short_chains_that_have_not_left_their_start_are_caught():
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        own = rng.standard_normal(4)
+        # Forty steps of 0.03: ensembles a sixth as wide as the normal that they walk on.
+        caught = wandering(rng, own, 0.03, 40)
+        assert np.mean(caught.std(axis=(1, 2))) < 1 / 6
+        assert rhat_nested(caught[..., None])[0] > 1.1
+        # The controls: walks that have forgotten where they began, and exact draws.
+        assert rhat_nested(wandering(rng, own, 2.4, 60)[..., None])[0] < convergence.RHAT_LIMIT
+        exact = rng.standard_normal((4, 128, 25, 1))
+        assert rhat_nested(exact)[0] < convergence.RHAT_LIMIT
+    # From one point the same walks agree, and are just as wrong.
+    fooled = wandering(rng, np.zeros(4), 0.03, 40)
+    assert np.mean(fooled.std(axis=(1, 2))) < 1 / 6
+    assert rhat_nested(fooled[..., None])[0] < convergence.RHAT_LIMIT
+
+
+def test_walkers_that_depend_on_each_other_need_no_other_limit():
+    """Common wander makes an ensemble worth less: nested R-hat grows as the mean's variance."""
+    rng = np.random.default_rng(5)
+    own, common = rng.standard_normal((40, 4, 64, 25)), rng.standard_normal((40, 4, 1, 1))
+    ratios = [nested_ratio(x) for x in own + 0.2 * common]
+    # Ensembles worth 25 draws each, on average over the ensembles' own chance.
+    assert np.mean(np.square(ratios)) - 1 == pytest.approx(0.04, rel=0.3)
 
 
 # Calibration of the Monte Carlo errors, over many seeds

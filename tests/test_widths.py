@@ -1,15 +1,16 @@
 """Widths side by side: when the quadratic one holds, when it does not, and what is said then."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import xarray
 from cases import SPREAD, A, Case, fit_of, problem_of, widths_of
 
-from identifiability.inference import widths as widths_module
 from identifiability.inference.archive import to_datatree, write_netcdf
 from identifiability.inference.curvature import curvature
+from identifiability.inference.sampling import Posterior, sample
 from identifiability.inference.widths import VERDICTS, judge, widths
 from identifiability.provenance import package_version
 
@@ -124,20 +125,53 @@ def test_without_the_referee():
     assert "quadrature" not in to_datatree(problem_of(case), result).children
 
 
-def test_a_sampler_that_did_not_converge_gives_no_verdict(monkeypatch):
+def test_the_sampler_is_an_argument():
+    """Exact draws of the Gaussian about the optimum, from a sampler that is not ours."""
     case = Case(32, 3.2, 100, 0.1, "energy")
-    original = widths_module.sample
+    asked = {}
+
+    def gaussian(problem, optimum, /, *, seed, local_optima, quick):
+        asked.update(seed=seed, quick=quick, local_optima=local_optima)
+        factor = np.linalg.cholesky(curvature(problem, optimum).covariance)
+        shape = (4, 64, 10, len(optimum))
+        draws = optimum + np.random.default_rng(seed).standard_normal(shape) @ factor.T
+        scores = np.zeros(shape[:-1])
+        return Posterior.judged(
+            problem.names,
+            draws,
+            scores,
+            independent=True,
+            step="Gaussian",
+            reason="",
+            acceptance=1.0,
+            seed=seed,
+        )
+
+    result = widths(
+        problem_of(case), starts=case.setting.starts(), seed=3, referee=False, sampler=gaussian
+    )
+    assert asked["seed"] == 3
+    assert asked["quick"] is False
+    assert asked["local_optima"].shape[1] == 3
+    assert result.posterior.step == "Gaussian"
+    assert result.to_dict()["sampler"]["step"] == "Gaussian"
+    assert result.verdict == "agrees"
+
+
+def test_a_sampler_that_did_not_converge_gives_no_verdict():
+    case = Case(32, 3.2, 100, 0.1, "energy")
 
     def hasty(*args, **options):
-        posterior = original(*args, **options)
-        object.__setattr__(posterior, "converged", False)
-        return posterior
+        return replace(sample(*args, **options), unmet=("nested R-hat of K is 1.300",))
 
-    monkeypatch.setattr(widths_module, "sample", hasty)
-    result = widths(problem_of(case), starts=case.setting.starts(), seed=1, referee=False)
+    result = widths(
+        problem_of(case), starts=case.setting.starts(), seed=1, referee=False, sampler=hasty
+    )
     assert result.verdict == "not converged"
-    assert result.to_dict()["sampler"]["converged"] is False
-    assert "did not converge" in result.reason
+    record = result.to_dict()
+    assert record["sampler"]["converged"] is False
+    assert record["sampler"]["unmet"] == ["nested R-hat of K is 1.300"]
+    assert all("nested R-hat of K is 1.300" in row.reason for row in result.rows)
 
 
 # The judge, on constructed inputs: a Gaussian of sd 1 about 0, then one thing changed at a time
@@ -153,7 +187,7 @@ GAUSSIAN = {
     "bounds": (-5.0, 7.0),
     "pinned": (),
     "at_bound": (),
-    "converged": True,
+    "unmet": (),
 }
 WIDE = {"posterior_sd": 2.0, "posterior_68": (-2.0, 2.0), "posterior_95": (-3.92, 3.92)}
 JUDGED = [
@@ -181,7 +215,7 @@ JUDGED = [
     (WIDE | {"sides": ("closed", "open")}, "non-identifiable", "do not bound K above"),
     ({"quadratic": float("nan")}, "curved", "the Hessian gives no width for K"),
     ({"quadratic": float("nan"), "sides": ("open", "open")}, "non-identifiable", "no width"),
-    ({"converged": False}, "not converged", "did not converge"),
+    ({"unmet": ("nested R-hat of K is 1.3",)}, "not converged", "nested R-hat of K is 1.3"),
 ]
 
 
@@ -206,6 +240,7 @@ KEYS = {
     "posterior_mean",
     "quadrature_sd",
     "rhat",
+    "rhat_nested",
     "ess_bulk",
     "ess_tail",
     "verdict",

@@ -88,12 +88,10 @@ def score(tier: str, spec: CaseSpec) -> Score:
     began = time.perf_counter()
     case = spec.build()
     findings = investigate(case.fit, case.held_out, with_widths=False, seed=spec.seed)
-    verdict, search = findings.verdict, findings.search
-    sets = dict(zip(search.alternatives, verdict.equivalence_sets, strict=False))
+    verdict, found = findings.verdict, findings.found
     first = None
-    if search.ladder and spec.kind == "known":
-        key = search.ladder[0][0]
-        first = matched(case.truth, [sets.get(key, (key,))]) == 1
+    if found.missing and spec.kind == "known":
+        first = matched(case.truth, [found.missing[0].could_be]) == 1
     return Score(
         spec.name,
         tier,
@@ -102,14 +100,14 @@ def score(tier: str, spec: CaseSpec) -> Score:
         case.weak,
         case.noise_ratio,
         verdict.kind,
-        verdict.equivalence_sets,
-        outcome_of(case.kind, case.truth, verdict.kind, verdict.equivalence_sets),
+        verdict.sets,
+        outcome_of(case.kind, case.truth, verdict.kind, verdict.sets),
         first,
         verdict.share,
         time.perf_counter() - began,
         tuple(
             (key, rung.fitted.error, rung.held_out.error)
-            for key, rung in (("", search.baseline), *search.ladder)
+            for key, rung in zip(("", *(m.key for m in found.missing)), found.ladder, strict=True)
         ),
     )
 

@@ -32,6 +32,7 @@ def run(options: argparse.Namespace) -> int:
     from identifiability.inference.recordings import fit_recordings
     from identifiability.inference.widths import widths
     from identifiability.investigation.investigate import investigate
+    from identifiability.investigation.wording.verdict import verdict_sentence
     from identifiability.measurement.example import B_CE, INERTIA, K_CE, K_SE, example_trials
     from identifiability.measurement.perturbations import Impulse
     from identifiability.report.fit import fit_text, write_fit
@@ -72,11 +73,11 @@ def run(options: argparse.Namespace) -> int:
     quadratic = [f"{r['K'].quadratic:.0f}" for r in results]
     spread = [f"{r['K'].posterior_sd:.0f}" for r in results]
     by_window = [w.widths["K"] for w in recording.windows]
-    before, after = findings.search.baseline.held_out, findings.search.final.held_out
+    before, after = findings.found.baseline.held_out, findings.found.final.held_out
     truth = {"K": K_CE, "B": B_CE, "I": INERTIA, "series_tendon.stiffness": K_SE}
     values = [
         f"{name} = {value:.4g}" + (f" ({truth[name]:g})" if name in truth else "")
-        for name, value in findings.search.final.values.items()
+        for name, value in findings.found.final.values.items()
     ]
     print(
         f"""
@@ -90,7 +91,7 @@ What was found
   K = {", ".join(f"{w.optimum:.0f} ± {w.posterior_sd:.1g}" for w in by_window)} Nm/rad
   in these windows after the pulse, with a VAF of {recording.goodness.vaf:.2f} % over the whole:
   a good fit of a wrong model.
-  {findings.verdict.sentence}
+  {verdict_sentence(findings)}
   With that E on the trial that was not fitted falls from {before.error:.2g} to
   {after.error:.2g}, and the parameters, with the joint's own in brackets, are
   {", ".join(values)}."""

@@ -23,7 +23,7 @@ from identifiability.cli.options import (
 from identifiability.errors import InputError
 
 if TYPE_CHECKING:
-    from identifiability.investigation.investigate import Findings
+    from identifiability.investigation.findings import Findings
     from identifiability.progress import Progress
 
 
@@ -68,14 +68,15 @@ def run(options: argparse.Namespace) -> int:
     from identifiability.files import output_folder
     from identifiability.investigation.fits.kept import kept_fits
     from identifiability.investigation.investigate import investigate
+    from identifiability.measurement.readers import readable_files
 
     check_seed(options.seed)
     if not 0 <= options.most <= 3:
         raise InputError(f"found --most {options.most}, expected 0 to 3 effects")
     lowpass = parse_lowpass(options.lowpass)
     bounds = parse_bounds(options.bounds)
-    files = _files(options.files)
-    held_files = _files(options.hold_out)
+    files = readable_files(options.files)
+    held_files = readable_files(options.hold_out)
     kept = [f for f in files if f.resolve() not in {h.resolve() for h in held_files}]
     if not kept:
         raise InputError("every file is held out; leave at least one to be fitted")
@@ -119,19 +120,24 @@ def save(findings: Findings, out: Path, *, command: str) -> list[str]:
 def summary(findings: Findings) -> str:
     """What was found, as text."""
     from identifiability.investigation.verdict.pinned import interval, not_pinned_down
+    from identifiability.investigation.wording import verdict as words
+    from identifiability.investigation.wording.next_experiment import next_experiment_sentence
+    from identifiability.investigation.wording.pinned import loose_sentence
 
-    search, verdict = findings.search, findings.verdict
-    floor = findings.split.noise_floor()
-    lines = [verdict.sentence, ""]
-    rows = [("K, B, I" if not search.baseline.keys else "baseline", search.baseline)]
-    rows += [(f"+ {key.replace('_', ' ')}", candidate) for key, candidate in search.ladder]
-    lines.append(f"{'model':<34}{'E fitted':>12}{'E held out':>12}")
-    for name, candidate in rows:
-        lines.append(f"{name:<34}{candidate.fitted.error:>12.3g}{candidate.held_out.error:>12.3g}")
+    found, floor = findings.found, findings.split.noise_floor()
+    names = ["baseline" if found.baseline.keys else "K, B, I"]
+    names += [f"+ {words.plain(m.name)}" for m in found.missing]
+    lines = [
+        words.verdict_sentence(findings),
+        "",
+        f"{'model':<34}{'E fitted':>12}{'E held out':>12}",
+    ]
+    for name, rung in zip(names, found.ladder, strict=True):
+        lines.append(f"{name:<34}{rung.fitted.error:>12.3g}{rung.held_out.error:>12.3g}")
     lines.append(f"{'noise floor':<34}" + (f"{floor:>12.3g}" if floor else f"{'unknown':>12}"))
-    lines += ["", *verdict.because]
+    lines += ["", *words.because(findings)]
     if findings.next_experiment is not None:
-        lines += ["", f"Next experiment. {findings.next_experiment.sentence}"]
+        lines += ["", f"Next experiment. {next_experiment_sentence(findings.next_experiment)}"]
     if findings.widths is not None:
         lines.append("")
         for row in findings.widths.rows:
@@ -140,23 +146,10 @@ def summary(findings: Findings) -> str:
                 f"{row.name} = {row.optimum:.4g} (95 % by {source}: {low:.4g} to {high:.4g}): "
                 f"{row.verdict}"
             )
-        lines += ["", *not_pinned_down(findings.widths)]
+        loose = not_pinned_down(findings.widths, findings.split.rules.loose)
+        lines += ["", *map(loose_sentence, loose)]
     lines += [f"note: {warning}" for warning in findings.warnings]
     return "\n".join(lines)
-
-
-def _files(paths: list[Path]) -> list[Path]:
-    """Files as named, folders replaced by the CSV files in them."""
-    found: list[Path] = []
-    for path in paths:
-        if not path.is_dir():
-            found.append(path)
-            continue
-        inside = sorted(path.glob("*.csv"))
-        if not inside:
-            raise InputError(f"found no CSV file in the folder {path}; name files, one a trial")
-        found += inside
-    return found
 
 
 def _limits(texts: list[str], trials: list[Any]) -> Any:

@@ -59,7 +59,13 @@ def add_bounds_option(parser: argparse.ArgumentParser) -> None:
 
 def add_file_options(parser: argparse.ArgumentParser) -> None:
     """Add the options that say how files of trials are read."""
-    parser.add_argument("files", nargs="+", type=Path, metavar="FILE", help="CSV or MATLAB .mat")
+    parser.add_argument(
+        "files",
+        nargs="+",
+        type=Path,
+        metavar="FILE",
+        help="text or MATLAB .mat, or folders of them",
+    )
     parser.add_argument(
         "--columns",
         nargs="+",
@@ -95,8 +101,7 @@ def add_lowpass_option(parser: argparse.ArgumentParser) -> None:
 
 def read_trials(options: argparse.Namespace, files: Sequence[Path] | None = None) -> list[Trial]:
     """Read the trials that the file options name, or those in other files, read alike."""
-    from identifiability.measurement.columns import parse_columns
-    from identifiability.measurement.readers import read_trial
+    from identifiability.measurement.readers import parse_columns, read_trial, readable_files
 
     columns = parse_columns(options.columns) if options.columns else None
     return [
@@ -108,7 +113,7 @@ def read_trials(options: argparse.Namespace, files: Sequence[Path] | None = None
             restoring=options.restoring,
             driven=options.driven,
         )
-        for path in (options.files if files is None else files)
+        for path in (readable_files(options.files) if files is None else files)
     ]
 
 

@@ -86,7 +86,7 @@ def to_datatree(problem: Problem, result: Widths) -> xarray.DataTree:
         **stamp(__name__),
         "model": repr(problem.model),
         "seed": posterior.seed,
-        "sampler": f"emcee, {posterior.step}",
+        "sampler": posterior.step,
         "sampler_reason": posterior.reason,
         "independent_chains": 1,
         "verdict": result.verdict,

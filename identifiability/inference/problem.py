@@ -368,6 +368,10 @@ class Problem:
         whole[..., list(self.free)] = x
         return whole
 
+    def free_vector(self, values: Mapping[str, float]) -> np.ndarray:
+        """Free parameters, shape (n_free,), from values of all parameters by name."""
+        return self.model.vector(values)[list(self.free)]
+
     def responses(self, x: np.ndarray) -> list[np.ndarray]:
         """Model response of each observation, at all its samples."""
         stacked = np.asarray(_responses(self.program, x, self.template, self.data))

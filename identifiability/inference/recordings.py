@@ -3,118 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
-from scipy import signal
 
 from identifiability.errors import InputError
-from identifiability.inference.fitting import Fit, fit, starting_points
+from identifiability.inference.fitting import Fit, explore, fit, starting_points
 from identifiability.inference.problem import Observation, Prior, Problem, observe
+from identifiability.inference.starts import first_guess, plain_values, starting_values
 from identifiability.inference.widths import Widths, widths
 from identifiability.joint.model import KBI, Model
-from identifiability.measurement.filtering import Lowpass, cutoff, smooth
-from identifiability.measurement.noise import Noise
-from identifiability.measurement.perturbations import Drive, SampledTorque, imposed_motion
-from identifiability.measurement.trials import Trial, onsets, quiet_lead
+from identifiability.measurement.filtering import Lowpass
+from identifiability.measurement.noise import Noise, correlation_time
+from identifiability.measurement.prepared import Prepared, prepare
+from identifiability.measurement.splitting import Parts, Rule, hold_out
+from identifiability.measurement.trials import Trial
+from identifiability.progress import Progress, silent
 
-_QUIET_SAMPLES = 10
-
-
-@dataclass(frozen=True, eq=False)
-class Prepared:
-    """A trial made ready to be fitted.
-
-    Attributes
-    ----------
-    trial : Trial
-        Filtered and freed of its operating point; its notes say how.
-    time : array, shape (n,)
-        Times [s] of the samples that are computed.
-    drive : Drive
-        What was imposed, at those samples.
-    response : array, shape (n,)
-        What was measured: angle [rad] or torque [Nm].
-    stride : int
-        Every so-many-th of these samples is compared; after a low-pass filter those between tell
-        nothing new.
-    onsets : array of int
-        Samples at which the imposed signal starts to move.
-    has_offset : bool
-        Whether the response's level at rest is unknown. It is known where a quiet lead was
-        recorded.
-    settled : (int, int)
-        First and last of these samples (excluded) that the ends of the filter do not touch.
-    """
-
-    trial: Trial
-    time: np.ndarray
-    drive: Drive
-    response: np.ndarray
-    stride: int
-    onsets: np.ndarray
-    has_offset: bool
-    settled: tuple[int, int]
-
-    @property
-    def interval(self) -> float:
-        """Sampling interval [s]."""
-        return self.drive.interval
-
-
-def prepare(trial: Trial, model: Model, *, lowpass_hz: Lowpass = "auto") -> Prepared:
-    """Filter a trial and take off its operating point.
-
-    With an imposed angle the model predicts torque from the angle's second derivative, which
-    amplifies noise; both channels then pass the same zero-phase low-pass filter, so that a linear
-    model keeps its parameters. With an imposed torque the angle is simulated and nothing is
-    filtered.
-
-    Parameters
-    ----------
-    trial : Trial
-    model : Model
-        One without internal states needs no samples between those that are compared.
-    lowpass_hz : float, "auto" or None
-        Cut-off frequency [Hz] for an imposed angle; "auto" is the usual one, or that above which
-        the angle is but noise (`noise_cutoff`); ``None`` for no filter.
-
-    Returns
-    -------
-    Prepared
-    """
-    moves = onsets(trial)
-    if trial.driven == "torque":
-        # A lead must be long enough to average over; otherwise the record starts at rest as it is.
-        quiet = quiet_lead(trial) >= _QUIET_SAMPLES
-        ready = trial.centred("baseline" if quiet else "none")
-        drive = SampledTorque(ready.torque).drive(ready.time)
-        everything = (0, ready.n_samples)
-        return Prepared(ready, ready.time, drive, ready.angle, 1, moves, not quiet, everything)
-    smoothed = smooth(trial, cutoff([trial], lowpass_hz))
-    ready, every = smoothed.trial, smoothed.every
-    drive = imposed_motion(ready.time, ready.angle)
-    if model.n_internal or not model.linear:
-        return Prepared(
-            ready, ready.time, drive, ready.torque, every, moves, True, smoothed.settled
-        )
-    thinned = replace(
-        drive,
-        interval=drive.interval * every,
-        states=drive.states[::every],
-        impulses=drive.impulses[::every],
-    )
-    kept = slice(None, None, every)
-    return Prepared(
-        ready,
-        ready.time[kept],
-        thinned,
-        ready.torque[kept],
-        1,
-        moves // every,
-        True,
-        smoothed.settled_of_kept,
-    )
+_STARTS = 6
+_EVALUATIONS = 60  # from each start, of a model with effects
 
 
 @dataclass(frozen=True, eq=False)
@@ -153,11 +61,9 @@ class Selection:
         return chosen - means[self.segment]
 
 
-def whole(prepared: Prepared, start: float = 0.0, stop: float = 1.0) -> Selection:
-    """All compared samples between two fractions of the trial."""
-    n, (first, last) = prepared.time.size, prepared.settled
-    low, high = max(round(start * n), first), min(round(stop * n), last)
-    samples = np.arange(low, high, prepared.stride)
+def whole(prepared: Prepared) -> Selection:
+    """All samples of a trial, or of its part, that are to be compared."""
+    samples = np.arange(prepared.first, prepared.last)
     return Selection(samples, 1, np.zeros(samples.size, int) if prepared.has_offset else None)
 
 
@@ -176,16 +82,18 @@ def windows(prepared: Prepared, window: float) -> Selection:
             "choose a shorter window"
         )
     length = round(window / prepared.interval)
-    if length < 4 * prepared.stride:
+    if length < 4:
         raise InputError(
             f"found a window of {window:g} s, which holds fewer than five samples of the trial "
             f"'{trial.name}'; choose a longer window"
         )
     stretches = [
-        np.arange(onset, onset + length + 1, prepared.stride)
+        np.arange(onset, onset + length + 1)
         for i, onset in enumerate(prepared.onsets)
-        # A window is used only if it ends within the record and before the next perturbation.
-        if onset + length < prepared.time.size
+        # A window is used only if it lies within the compared samples, and ends before the next
+        # perturbation.
+        if prepared.first <= onset
+        and onset + length < prepared.last
         and (i + 1 == len(prepared.onsets) or onset + length < prepared.onsets[i + 1])
     ]
     if not stretches:
@@ -205,7 +113,7 @@ def recording_problem(
     model: Model,
     prior: Prior,
     noises: Sequence[Noise] | None = None,
-    substeps: int | None = None,
+    refined: bool = False,
 ) -> Problem:
     """Problem of fitting a model to selected samples of trials.
 
@@ -219,8 +127,8 @@ def recording_problem(
     noises : sequence of Noise, optional
         One a trial. By default each trial weighs by its own energy, as the error E does, so that
         ``2 * cost`` is the sum of the trials' errors E.
-    substeps : int, optional
-        For models without exact response.
+    refined : bool
+        Whether parameters that only refine an effect are free too.
 
     Returns
     -------
@@ -242,7 +150,38 @@ def recording_problem(
                 segment=selection.segment,
             )
         )
-    return Problem(model, observations, prior, substeps=substeps)
+    return Problem(
+        model,
+        observations,
+        prior,
+        fixed=plain_values(model, model.effect_keys if refined else ()),
+        substeps=None if model.linear else 1,
+        exact_hessian=not model.effects,
+    )
+
+
+def best_fit(problem: Problem, guess: np.ndarray, seed: int) -> Fit:
+    """Fit a model from starts about a first guess of K, B and I.
+
+    A model with effects starts from the best K, B and I alone, with its effects near their null,
+    at several values of what shapes them.
+
+    Parameters
+    ----------
+    problem : Problem
+    guess : array, shape (3,)
+        K, B and I.
+    seed : int
+        Of the starts.
+    """
+    model = problem.model
+    if not model.effects:
+        return fit(problem, starting_points(problem, guess, _STARTS, seed))
+    prior = Prior(problem.prior.lower[:3], problem.prior.upper[:3])
+    alone = best_fit(Problem(KBI(), problem.observations, prior), guess, seed)
+    known = {name: alone[name] for name in alone.names}
+    points = [problem.free_vector(start) for start in starting_values(model, known)]
+    return explore(problem, np.array(points), evaluations=_EVALUATIONS)
 
 
 @dataclass(frozen=True)
@@ -292,12 +231,15 @@ class HeldOut:
     ----------
     fitted, held_out : str
         Which part is which, in words.
+    rule : {"by amplitude", "second half", "first half"}
+        How they were chosen: see `hold_out`.
     fit : Fit
     goodness_fitted, goodness_held_out : Goodness
     """
 
     fitted: str
     held_out: str
+    rule: Rule
     fit: Fit
     goodness_fitted: Goodness
     goodness_held_out: Goodness
@@ -343,10 +285,11 @@ def fit_recordings(
     window_lengths: Sequence[float] = (),
     prior: Prior | None = None,
     lowpass_hz: Lowpass = "auto",
+    refined: bool = False,
     seed: int = 1,
-    progress: Callable[[str, int, int], None] = lambda what, done, total: None,
+    progress: Progress = silent,
 ) -> RecordingFit:
-    """Fit a linear joint model to recorded trials, with every width, by window and held out.
+    """Fit a joint model to recorded trials, with every width, by window and held out.
 
     The estimate is that of least squares. Its residual is rarely white, so the noise that the
     widths are computed for has the residual's variance times its integrated autocorrelation time:
@@ -358,13 +301,16 @@ def fit_recordings(
     trials : sequence of Trial
         All driven alike.
     model : Model, optional
-        ``KBI()`` by default.
+        ``KBI()`` by default; any sum of effects.
     window_lengths : sequence of float
         Windows T [s] after each perturbation, to be fitted one by one.
     prior : Prior, optional
         Uniform within the physical bounds by default.
     lowpass_hz : float, "auto" or None
         See `prepare`; one for all trials.
+    refined : bool
+        Whether parameters that only refine an effect are free too; they are held at the values of
+        its plain form otherwise.
     seed : int
     progress : callable
         Told ``(what, done, total)`` before each part of the work.
@@ -378,64 +324,72 @@ def fit_recordings(
     InputError
         Where there is no trial, or the trials are driven differently, or a window does not fit.
     """
-    if not trials:
-        raise InputError("found no trials, expected at least one")
-    if len({trial.driven for trial in trials}) > 1:
-        raise InputError("found torque- and angle-driven trials together; fit them one by one")
     model = KBI() if model is None else model
     prior = Prior.physical(model) if prior is None else prior
-    cutoff_hz = cutoff(trials, lowpass_hz)
-    prepared = tuple(prepare(trial, model, lowpass_hz=cutoff_hz) for trial in trials)
+    prepared = prepare(trials, lowpass_hz=lowpass_hz)
     selections_by_window = [[windows(p, length) for p in prepared] for length in window_lengths]
-    selections = [whole(p) for p in prepared]
-    start = first_guess([p.trial for p in prepared], prior)
-    starts_seed, *window_seeds = np.random.SeedSequence(seed).generate_state(
-        1 + len(window_lengths)
+    guess = first_guess([p.trial for p in prepared], prior)
+    starts_seed, *window_seeds = map(
+        int, np.random.SeedSequence(seed).generate_state(1 + len(window_lengths))
     )
+    pose = partial(recording_problem, model=model, prior=prior, refined=refined)
 
     def study(
         chosen: Sequence[Selection], sampler_seed: int, referee: bool
-    ) -> tuple[Problem, Widths, Goodness, list[Noise], list[float]]:
-        rough = recording_problem(prepared, chosen, model=model, prior=prior)
-        starts = starting_points(rough, start, 6, int(starts_seed))
-        best = fit(rough, starts)
+    ) -> tuple[Problem, Widths, list[Noise], list[float]]:
+        rough = pose(prepared, chosen)
+        best = best_fit(rough, guess, starts_seed)
         noises, fractions = _noises(rough, best, chosen)
-        problem = recording_problem(prepared, chosen, model=model, prior=prior, noises=noises)
-        result = widths(problem, starts=best.values[None], seed=int(sampler_seed), referee=referee)
-        return problem, result, goodness(problem, result.fit, chosen), noises, fractions
+        problem = pose(prepared, chosen, noises=noises)
+        result = widths(
+            problem,
+            starts=best.values[None],
+            seed=sampler_seed,
+            referee=referee,
+            quick=bool(model.effects),
+        )
+        return problem, result, noises, fractions
 
     total = 2 + len(window_lengths)
     progress("whole records: fit, profiles, posterior, quadrature", 1, total)
-    problem, result, quality, noises, fractions = study(selections, seed, True)
+    selections = [whole(p) for p in prepared]
+    problem, result, noises, fractions = study(selections, seed, True)
     by_window: list[WindowFit] = []
     for length, chosen, child in zip(
         window_lengths, selections_by_window, window_seeds, strict=True
     ):
         progress(f"windows of {1000 * length:g} ms", 2 + len(by_window), total)
-        _, within, within_quality, _, _ = study(chosen, int(child), False)
+        windowed, within, _, _ = study(chosen, child, False)
         n_windows = sum(s.stretches for s in chosen)
-        by_window.append(WindowFit(length, n_windows, within, within_quality))
+        by_window.append(
+            WindowFit(length, n_windows, within, goodness(windowed, within.fit, chosen))
+        )
     progress("fit to one part, judged on the other", total, total)
-    held_out, remarks = _hold_out(prepared, model, prior, start, int(starts_seed))
-    predictions = []
-    for p, selection, response in zip(
-        prepared, selections, problem.responses(result.fit.values), strict=True
-    ):
-        missed = (p.response - response)[selection.samples]
-        offset = np.mean(missed) if p.has_offset else 0.0
-        predictions.append(response + offset)
+    parts = hold_out(prepared)
+    remarks = [] if parts.held_out else [f"held out: {parts.what_is_held_out}"]
     return RecordingFit(
         prepared,
         problem,
         result,
-        quality,
+        goodness(problem, result.fit, selections),
         tuple(noises),
         tuple(fractions),
-        tuple(predictions),
+        _predictions(prepared, problem, result.fit),
         tuple(by_window),
-        held_out,
+        _held_out(parts, pose, guess, starts_seed) if parts.held_out else None,
         tuple(remarks),
     )
+
+
+def _predictions(
+    prepared: Sequence[Prepared], problem: Problem, best: Fit
+) -> tuple[np.ndarray, ...]:
+    """Fitted responses at every sample, at the level of the compared ones."""
+    found = []
+    for p, response in zip(prepared, problem.responses(best.values), strict=True):
+        missed = (p.response - response)[p.first : p.last]
+        found.append(response + (np.mean(missed) if p.has_offset else 0.0))
+    return tuple(found)
 
 
 def goodness(problem: Problem, best: Fit, selections: Sequence[Selection]) -> Goodness:
@@ -457,26 +411,6 @@ def goodness(problem: Problem, best: Fit, selections: Sequence[Selection]) -> Go
     return Goodness(float(np.mean(errors)), 100 * (1 - residual_power / power), n)
 
 
-def integrated_autocorrelation(residual: np.ndarray) -> float:
-    """Integrated autocorrelation time of a residual, in samples, at least 1.
-
-    Summed up to the first lag beyond five times the sum so far (Sokal's window).
-
-    Parameters
-    ----------
-    residual : array, shape (n,)
-    """
-    x = np.asarray(residual, float) - np.mean(residual)
-    n = x.size
-    power = np.abs(np.fft.rfft(x, 2 * n)) ** 2
-    covariance = np.fft.irfft(power)[:n]
-    if covariance[0] == 0:
-        return 1.0
-    times = 2 * np.cumsum(covariance / covariance[0]) - 1
-    beyond = np.flatnonzero(np.arange(n) >= 5 * times)
-    return float(max(1.0, times[beyond[0] if beyond.size else n - 1]))
-
-
 def _noises(
     problem: Problem, best: Fit, selections: Sequence[Selection]
 ) -> tuple[list[Noise], list[float]]:
@@ -491,73 +425,22 @@ def _noises(
         variance = float(np.sum(residual**2)) / dof
         if variance == 0:
             variance = 1e-24 * float(np.mean(observation.measured**2))
-        time = integrated_autocorrelation(residual)
+        time = correlation_time(residual - residual.mean())
         noises.append(Noise(float(np.sqrt(variance * time))))
         fractions.append(1 / time)
     return noises, fractions
 
 
-def _hold_out(
-    prepared: Sequence[Prepared], model: Model, prior: Prior, start: np.ndarray, seed: int
-) -> tuple[HeldOut | None, list[str]]:
-    """Fit one part, judge on the other: trials where there are several, else halves in time."""
-    if len(prepared) > 1:
-        half = (len(prepared) + 1) // 2
-        parts = [list(prepared[:half]), list(prepared[half:])]
-        selections = [[whole(p) for p in part] for part in parts]
-        words = [f"the first {half} of {len(prepared)} trials", f"the other {len(prepared) - half}"]
-    else:
-        middle = prepared[0].time.size // 2
-        moves = prepared[0].onsets
-        continuous = len(moves) == 1 and moves[0] == 0 and prepared[0].trial.driven == "torque"
-        if not continuous and not (np.any(moves < middle) and np.any(moves >= middle)):
-            remark = (
-                "nothing was held out: there is one trial, and it is not perturbed in both halves"
-            )
-            return None, [remark]
-        parts = [[prepared[0]], [prepared[0]]]
-        selections = [[whole(prepared[0], 0.0, 0.5)], [whole(prepared[0], 0.5, 1.0)]]
-        words = ["the first half", "the second half"]
-    problems = [
-        recording_problem(part, chosen, model=model, prior=prior)
-        for part, chosen in zip(parts, selections, strict=True)
-    ]
-    best = fit(problems[0], starting_points(problems[0], start, 6, seed))
+def _held_out(parts: Parts, pose: Callable[..., Problem], guess: np.ndarray, seed: int) -> HeldOut:
+    """Fit one part, judge on the other."""
+    chosen, others = ([whole(p) for p in part] for part in (parts.fitted, parts.held_out))
+    problem = pose(parts.fitted, chosen)
+    best = best_fit(problem, guess, seed)
     return HeldOut(
-        words[0],
-        words[1],
+        parts.what_is_fitted,
+        parts.what_is_held_out,
+        parts.rule,
         best,
-        goodness(problems[0], best, selections[0]),
-        goodness(problems[1], best, selections[1]),
-    ), []
-
-
-def first_guess(trials: Sequence[Trial], prior: Prior) -> np.ndarray:
-    """K, B and I by linear regression of torque on the smoothed motion, within the bounds.
-
-    Parameters
-    ----------
-    trials : sequence of Trial
-    prior : Prior
-        Its first three bounds are those of K, B and I.
-
-    Returns
-    -------
-    array, shape (3,)
-    """
-    rows, targets = [], []
-    for trial in trials:
-        angle, torque = trial.angle, trial.torque
-        if trial.driven == "torque":
-            sos = signal.butter(
-                2, min(0.4 * trial.sampling_rate, 30.0), fs=trial.sampling_rate, output="sos"
-            )
-            pad = min(angle.size - 1, 3 * int(trial.sampling_rate / 30.0))
-            angle, torque = (signal.sosfiltfilt(sos, x, padlen=pad) for x in (angle, torque))
-        motion = imposed_motion(trial.time, angle).signals
-        scale = np.std(torque)
-        rows.append(np.column_stack([motion - motion.mean(axis=0)]) / scale)
-        targets.append((torque - torque.mean()) / scale)
-    guess = np.linalg.lstsq(np.concatenate(rows), np.concatenate(targets), rcond=None)[0]
-    lower, upper = prior.lower[:3], prior.upper[:3]
-    return np.clip(np.where(guess > 0, guess, [50.0, 1.0, 0.05]), lower, upper)
+        goodness(problem, best, chosen),
+        goodness(pose(parts.held_out, others), best, others),
+    )

@@ -34,13 +34,7 @@ def fit_record(result: RecordingFit) -> dict[str, Any]:
         "driven": result.prepared[0].trial.driven,
         "trials": [
             {
-                "name": p.trial.name,
-                "source": p.trial.source,
-                "sha256": p.trial.sha256,
-                "samples": p.trial.n_samples,
-                "sampling_rate": p.trial.sampling_rate,
-                "perturbations": len(p.onsets),
-                "notes": list(p.trial.notes),
+                **p.record(),
                 "noise_sd": noise.sd * fraction**0.5,
                 "independent_fraction": fraction,
             }
@@ -67,6 +61,7 @@ def fit_record(result: RecordingFit) -> dict[str, Any]:
         else {
             "fitted": held.fitted,
             "held_out": held.held_out,
+            "rule": held.rule,
             "parameters": {n: held.fit[n] for n in held.fit.names},
             "E_fitted": held.goodness_fitted.error,
             "vaf_fitted": held.goodness_fitted.vaf,

@@ -6,19 +6,19 @@
 3. Where that does not fit either: differential evolution itself.
 
 On the first two steps the proposal does not depend on the other walkers, so each walker is an
-independent chain. Every run consists of at least four independent ensembles, and convergence is
-judged across them: rank-normalised R-hat below 1.01, bulk and tail effective sample sizes of 400.
+independent chain. Every run consists of four independent ensembles, each of which begins at a
+point of its own, and convergence is judged across them: see `convergence`.
 """
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple, Protocol
 
 import emcee
 import numpy as np
 
+from identifiability.inference.convergence import convergence
 from identifiability.inference.curvature import curvature
 from identifiability.inference.problem import Problem
 from identifiability.inference.proposals import (
@@ -32,8 +32,6 @@ from identifiability.inference.proposals import (
 Step = Literal["laplace-t", "mixture-t", "differential evolution"]
 
 N_ENSEMBLES = 4
-RHAT_LIMIT = 1.01
-ESS_LIMIT = 400.0
 # What a t reaches on the posterior over what it would on a Gaussian: what is much lower has a
 # shape, or a tail, that the t does not know, and walkers that have not met it yet agree with each
 # other all the same. In three dimensions, where a Gaussian gives 0.89, this is 0.75.
@@ -42,11 +40,12 @@ EFFICIENCY_LIMIT = 0.84
 # An optimum this far below the best, in log likelihood, holds no mass that matters.
 _NEGLIGIBLE = 15.0
 _TRIALS = 8  # points of a proposal to judge it by, for each walker
-WALKERS, _STEPS, _BURN = 512, 25, 5
+# All walkers of an ensemble begin at one point, and the burn-in must take them away from it.
+_WALKERS, _FEW_WALKERS, _STEPS, _BURN = 512, 64, 25, 10
 _PILOT_WALKERS, _PILOT_STEPS, _FEW_STEPS = 128, 400, 80
 _DE_WALKERS, _DE_STEPS = 64, 2000
+_CLOUD = 0.1  # extent of an ensemble that begins to evolve, in that of the pilot run
 _HOPELESS = 0.05  # efficiency from which a short pilot run does not lead to a mixture that fits
-_FEWEST_STEPS = 200
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,18 +56,18 @@ class Posterior:
     ----------
     names : tuple of str
     draws : array, shape (n_ensembles, n_draws, k)
-        Walker after walker within each ensemble.
+        Walker after walker within each ensemble where they are independent, else in time order.
     log_probability : array, shape (n_ensembles, n_draws)
-    rhat, ess_bulk, ess_tail, sd_mcse : array, shape (k,)
-        Across the ensembles; the last is the Monte Carlo error of the standard deviation.
+    rhat, rhat_nested, ess_bulk, ess_tail, sd_mcse : array, shape (k,)
+        Across the ensembles: see `Convergence`.
+    unmet : tuple of str
+        Every limit of convergence that is not met, with the figure.
     step : str
-        Step of the ladder that was used.
+        Step of the ladder that was used, or the name of another sampler.
     reason : str
         Why that step, with the figures that decided.
     acceptance : float
         Mean acceptance fraction.
-    converged : bool
-        Whether R-hat and effective sample sizes meet their limits for every parameter.
     seed : int
     """
 
@@ -76,14 +75,65 @@ class Posterior:
     draws: np.ndarray
     log_probability: np.ndarray
     rhat: np.ndarray
+    rhat_nested: np.ndarray
     ess_bulk: np.ndarray
     ess_tail: np.ndarray
     sd_mcse: np.ndarray
-    step: Step
+    unmet: tuple[str, ...]
+    step: str
     reason: str
     acceptance: float
-    converged: bool
     seed: int
+
+    @classmethod
+    def judged(
+        cls,
+        names: tuple[str, ...],
+        draws: np.ndarray,
+        log_probability: np.ndarray,
+        *,
+        independent: bool,
+        step: str,
+        reason: str,
+        acceptance: float,
+        seed: int,
+    ) -> Posterior:
+        """Posterior with its diagnostics, from the draws of any sampler.
+
+        Parameters
+        ----------
+        names : tuple of str
+        draws : array, shape (n_ensembles, n_walkers, n_steps, k)
+            Ensembles that know nothing of each other, each begun at a point of its own.
+        log_probability : array, shape (n_ensembles, n_walkers, n_steps)
+        independent : bool
+            Whether the walkers of an ensemble move independently of each other.
+        step, reason, acceptance, seed
+            See `Posterior`.
+        """
+        found = convergence(draws, names, independent=independent)
+        if not independent:
+            draws, log_probability = draws.swapaxes(1, 2), log_probability.swapaxes(1, 2)
+        return cls(
+            names,
+            draws.reshape(len(draws), -1, len(names)),
+            log_probability.reshape(len(draws), -1),
+            found.rhat,
+            found.rhat_nested,
+            found.ess_bulk,
+            found.ess_tail,
+            found.sd_mcse,
+            found.unmet,
+            step,
+            reason,
+            acceptance,
+            seed,
+        )
+
+    @property
+    def converged(self) -> bool:
+        """Whether every limit is met for every parameter."""
+        return not self.unmet
 
     @property
     def flat(self) -> np.ndarray:
@@ -106,15 +156,39 @@ class Posterior:
         return np.quantile(self.flat, [tail, 1 - tail], axis=0)
 
 
+class Sampler(Protocol):
+    """What draws from the posterior of a problem; `sample` is one."""
+
+    def __call__(
+        self,
+        problem: Problem,
+        optimum: np.ndarray,
+        /,
+        *,
+        seed: int,
+        local_optima: np.ndarray | None,
+        quick: bool,
+    ) -> Posterior:
+        """Draw, and judge the draws: arguments as of `sample`, result by `Posterior.judged`."""
+        ...
+
+
+class _Start(NamedTuple):
+    """Points to begin from, and how well the proposal that they are from fits (Kish, 0 to 1)."""
+
+    points: np.ndarray
+    apart: np.ndarray
+    efficiency: float
+
+
 def sample(
     problem: Problem,
     optimum: np.ndarray,
     *,
     seed: int,
     local_optima: np.ndarray | None = None,
-    walkers: int = WALKERS,
     effort: float = 1.0,
-    evolve: bool = True,
+    quick: bool = False,
 ) -> Posterior:
     """Sample the posterior, climbing the ladder of proposals as far as needed.
 
@@ -128,12 +202,11 @@ def sample(
     local_optima : array, shape (n, k), optional
         Where other starts of the fit ended. Those that could hold mass get a component of their
         own in the proposal: no walker would find them from the best one.
-    walkers : int
-        Number of walkers in each ensemble.
     effort : float
         Factor on the number of steps.
-    evolve : bool
-        Whether to climb to the last step of the ladder, which takes the longest.
+    quick : bool
+        Whether to do with fewer walkers, and without the last step of the ladder, which takes the
+        longest.
 
     Returns
     -------
@@ -141,10 +214,12 @@ def sample(
         Its `converged` says whether it may be used.
     """
     seeds = np.random.SeedSequence(seed).spawn(4)
+    walkers = _FEW_WALKERS if quick else _WALKERS
     optimum = np.asarray(optimum, float)
     proposal = _laplace(problem, optimum, local_optima)
     why: list[str] = []
-    start, efficiency = _try(problem, proposal, seeds[0], _TRIALS * walkers)
+    start = _try(problem, proposal, seeds[0], _TRIALS * walkers)
+    efficiency = start.efficiency
     ideal = efficiency_on_gaussian(len(problem.names), proposal.df)
     # What is spent on other optima cannot serve the best one.
     limit = EFFICIENCY_LIMIT * ideal * float(proposal.weights[0])
@@ -155,69 +230,35 @@ def sample(
         )
         if result.converged:
             return result
-        why.append(f"the Laplace t did not converge (largest R-hat {result.rhat.max():.3f})")
+        why.append(f"the Laplace t did not converge ({result.unmet[0]})")
     else:
         why.append(
             f"the Laplace t reaches an importance efficiency of only {efficiency:.2f}, "
             f"below {limit:.2f}"
         )
-    if not evolve and efficiency < _HOPELESS:
+    if quick and efficiency < _HOPELESS:
         # A short run that shows by its own diagnostics that it cannot be used.
         reason = "; ".join([*why, "no pilot run was made at this effort"])
         return _independent(
             problem, proposal, start, "laplace-t", reason, seed, seeds[1], walkers, 0.1 * effort
         )
-    pilot = _pilot(problem, start, seeds[2], _PILOT_STEPS if walkers >= WALKERS else _FEW_STEPS)
+    pilot = _pilot(problem, start.points, seeds[2], _FEW_STEPS if quick else _PILOT_STEPS)
     mixture = fitted_mixture(
         pilot, problem.lower, problem.upper, seed=int(seeds[2].generate_state(1)[0])
     )
-    start, efficiency = _try(problem, mixture, seeds[2].spawn(1)[0], _TRIALS * walkers)
-    if efficiency >= EFFICIENCY_LIMIT * ideal / 2 or not evolve:
+    start = _try(problem, mixture, seeds[2].spawn(1)[0], _TRIALS * walkers)
+    efficiency = start.efficiency
+    if efficiency >= EFFICIENCY_LIMIT * ideal / 2 or quick:
         reason = "; ".join([*why, f"a mixture fitted to a pilot run reaches {efficiency:.2f}"])
         result = _independent(
             problem, mixture, start, "mixture-t", reason, seed, seeds[1], walkers, effort
         )
-        if result.converged or not evolve:
+        if result.converged or quick:
             return result
-        why.append(f"the mixture did not converge (largest R-hat {result.rhat.max():.3f})")
+        why.append(f"the mixture did not converge ({result.unmet[0]})")
     else:
         why.append(f"a mixture fitted to a pilot run reaches only {efficiency:.2f}")
-    return _evolution(problem, pilot, "; ".join(why), seed, seeds[3], effort)
-
-
-def diagnose(
-    draws: np.ndarray, names: tuple[str, ...]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Rank R-hat, bulk and tail effective sample size, and Monte Carlo error of the sd.
-
-    Parameters
-    ----------
-    draws : array, shape (n_chains, n_draws, k)
-    names : tuple of str
-
-    Returns
-    -------
-    tuple of four arrays, shape (k,)
-    """
-    import xarray
-
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", FutureWarning)  # 0.x announces 1.x at every import
-        import arviz
-
-    data = xarray.Dataset(
-        {name: (("chain", "draw"), draws[:, :, i]) for i, name in enumerate(names)}
-    )
-
-    def column(statistic: xarray.Dataset) -> np.ndarray:
-        return np.array([float(statistic[name]) for name in names])
-
-    return (
-        column(arviz.rhat(data, method="rank")),
-        column(arviz.ess(data, method="bulk")),
-        column(arviz.ess(data, method="tail", prob=(0.05, 0.95))),
-        column(arviz.mcse(data, method="sd")),
-    )
+    return _evolution(problem, pilot, start.apart, "; ".join(why), seed, seeds[3], effort)
 
 
 def _laplace(
@@ -249,23 +290,32 @@ def _state(points: np.ndarray, seed: np.random.SeedSequence) -> emcee.State:
 
 def _try(
     problem: Problem, proposal: StudentMixture, seed: np.random.SeedSequence, n: int
-) -> tuple[np.ndarray, float]:
-    """Importance-resampled points from the proposal, and its efficiency (Kish, 0 to 1)."""
+) -> _Start:
+    """Points from the proposal, drawn by their importance, and its efficiency.
+
+    Those that the ensembles begin from are drawn without repetition: where one point outweighs
+    all others, because the proposal hardly reaches where it lies, not all ensembles begin there.
+    """
     random = np.random.RandomState(np.random.MT19937(seed))
     try:
         points = proposal.draw(n, random)
     except RuntimeError:
-        return proposal.means[:1].repeat(n, axis=0), 0.0
+        where = np.clip(proposal.means[:1], proposal.lower, proposal.upper)
+        return _Start(where.repeat(n, axis=0), where.repeat(N_ENSEMBLES, axis=0), 0.0)
     log_weights = problem.log_posterior(points) - proposal.log_density(points)
     weights = np.exp(log_weights - log_weights.max())
     weights /= weights.sum()
-    return points[random.choice(n, n, p=weights)], float(1 / np.sum(weights**2) / n)
+    resampled = points[random.choice(n, n, p=weights)]
+    # The largest of log weights with Gumbel noise are a draw without repetition, in which weights
+    # too small to be told from 0 keep their order.
+    order = np.argsort(-(log_weights + random.gumbel(size=n)), kind="stable")
+    return _Start(resampled, points[order[:N_ENSEMBLES]], float(1 / np.sum(weights**2) / n))
 
 
 def _independent(
     problem: Problem,
     proposal: StudentMixture,
-    start: np.ndarray,
+    start: _Start,
     step: Step,
     reason: str,
     seed: int,
@@ -281,7 +331,7 @@ def _independent(
 
     n_steps = max(2, round(_STEPS * effort))
     chains, scores, accepted = [], [], []
-    for member, child in enumerate(seeds.spawn(N_ENSEMBLES)):
+    for point, child in zip(start.apart, seeds.spawn(N_ENSEMBLES), strict=True):
         sampler = emcee.EnsembleSampler(
             walkers,
             len(problem.names),
@@ -289,15 +339,23 @@ def _independent(
             moves=emcee.moves.MHMove(propose),
             vectorize=True,
         )
-        first = start[member * walkers : (member + 1) * walkers]
+        first = point[None].repeat(walkers, axis=0)
         state = sampler.run_mcmc(_state(first, child), _BURN, skip_initial_state_check=True)
         sampler.reset()
         sampler.run_mcmc(state, n_steps, skip_initial_state_check=True)
-        # Walker after walker, so that neighbours in the chain are neighbours in a walker's time.
-        chains.append(sampler.get_chain().transpose(1, 0, 2).reshape(-1, len(problem.names)))
-        scores.append(sampler.get_log_prob().T.ravel())
+        chains.append(sampler.get_chain().swapaxes(0, 1))
+        scores.append(sampler.get_log_prob().T)
         accepted.append(sampler.acceptance_fraction.mean())
-    return _judge(problem, chains, scores, step, reason, float(np.mean(accepted)), seed)
+    return Posterior.judged(
+        problem.names,
+        np.stack(chains),
+        np.stack(scores),
+        independent=True,
+        step=step,
+        reason=reason,
+        acceptance=float(np.mean(accepted)),
+        seed=seed,
+    )
 
 
 def _pilot(
@@ -313,27 +371,33 @@ def _pilot(
 def _evolution(
     problem: Problem,
     pilot: np.ndarray,
+    apart: np.ndarray,
     reason: str,
     seed: int,
     seeds: np.random.SeedSequence,
     effort: float,
 ) -> Posterior:
-    """Differential evolution with snooker updates, from points of the pilot run."""
+    """Differential evolution with snooker updates, from small clouds about points of their own."""
     n_steps = max(4, round(_DE_STEPS * effort))
     chains, scores, accepted = [], [], []
-    for child in seeds.spawn(N_ENSEMBLES):
+    for point, child in zip(apart, seeds.spawn(N_ENSEMBLES), strict=True):
         pick = np.random.default_rng(child).choice(len(pilot), _DE_WALKERS, replace=False)
+        cloud = point + _CLOUD * (pilot[pick] - pilot.mean(axis=0))
         sampler = _evolving_sampler(problem, _DE_WALKERS)
-        first = _scatter(problem, pilot[pick], child)
+        first = _scatter(problem, cloud, child)
         sampler.run_mcmc(_state(first, child), n_steps, skip_initial_state_check=True)
-        # Walkers depend on each other: in time order, one ensemble counts as one chain.
-        chain = sampler.get_chain(discard=n_steps // 4)
-        chains.append(chain.reshape(-1, len(problem.names)))
-        scores.append(sampler.get_log_prob(discard=n_steps // 4).ravel())
+        chains.append(sampler.get_chain(discard=n_steps // 4).swapaxes(0, 1))
+        scores.append(sampler.get_log_prob(discard=n_steps // 4).T)
         accepted.append(sampler.acceptance_fraction.mean())
-    acceptance = float(np.mean(accepted))
-    return _judge(
-        problem, chains, scores, "differential evolution", reason, acceptance, seed, _DE_WALKERS
+    return Posterior.judged(
+        problem.names,
+        np.stack(chains),
+        np.stack(scores),
+        independent=False,
+        step="differential evolution",
+        reason=reason,
+        acceptance=float(np.mean(accepted)),
+        seed=seed,
     )
 
 
@@ -349,64 +413,3 @@ def _scatter(problem: Problem, points: np.ndarray, seed: np.random.SeedSequence)
     size = np.maximum(points.std(axis=0), 1e-6 * np.maximum(np.abs(points.mean(axis=0)), 1e-6))
     noise = np.random.default_rng(seed).standard_normal(points.shape)
     return np.clip(points + 0.05 * size * noise, problem.lower, problem.upper)
-
-
-def _judge(
-    problem: Problem,
-    chains: list[np.ndarray],
-    scores: list[np.ndarray],
-    step: Step,
-    reason: str,
-    acceptance: float,
-    seed: int,
-    dependent_walkers: int = 0,
-) -> Posterior:
-    draws = np.stack(chains)
-    rhat, bulk, tail, mcse = diagnose(draws, problem.names)
-    long_enough = True
-    if dependent_walkers:
-        bulk, tail, mcse = _of_dependent_walkers(draws, dependent_walkers, bulk, tail)
-        # In a few steps walkers cannot show how slowly they forget where they began.
-        long_enough = draws.shape[1] >= _FEWEST_STEPS * dependent_walkers
-    # Walkers that start from one point and stay there agree with each other perfectly: as many
-    # independent draws as are claimed must at least differ.
-    different = np.unique(draws[..., 0]).size
-    converged = bool(
-        long_enough
-        and different >= ESS_LIMIT
-        and np.all(rhat < RHAT_LIMIT)
-        and np.all(bulk >= ESS_LIMIT)
-        and np.all(tail >= ESS_LIMIT)
-    )
-    return Posterior(
-        problem.names,
-        draws,
-        np.stack(scores),
-        rhat,
-        bulk,
-        tail,
-        mcse,
-        step,
-        reason,
-        acceptance,
-        converged,
-        seed,
-    )
-
-
-def _of_dependent_walkers(
-    draws: np.ndarray, walkers: int, bulk: np.ndarray, tail: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Effective sample sizes that count walkers as dependent.
-
-    From the series of ensemble means, whose variance is that of one draw divided by the number of
-    draws that each ensemble is worth; the tail's size is lowered in the same proportion.
-    """
-    n_chains, n, k = draws.shape
-    means = draws.reshape(n_chains, n // walkers, walkers, k).mean(axis=2)
-    names = tuple(str(i) for i in range(k))
-    series = diagnose(means, names)[1]
-    worth = draws.reshape(-1, k).var(axis=0) / means.reshape(-1, k).var(axis=0)
-    honest = np.minimum(series * worth, bulk)
-    sd = draws.reshape(-1, k).std(axis=0)
-    return honest, tail * honest / bulk, sd / np.sqrt(2 * honest)

@@ -14,7 +14,7 @@ from identifiability.inference.fitting import Fit, explore, fit
 from identifiability.inference.problem import Problem
 from identifiability.inference.profiles import POINTS, Profile, Side, profile
 from identifiability.inference.quadrature import Moments, quadrature
-from identifiability.inference.sampling import WALKERS, Posterior, sample
+from identifiability.inference.sampling import Posterior, Sampler, sample
 
 Verdict = Literal[
     "agrees", "truncated", "curved", "heavy-tailed", "non-identifiable", "not converged"
@@ -36,7 +36,7 @@ WIDTH_TOLERANCE = 0.10
 END_TOLERANCE = 0.25
 HEAVY_TAIL = 2.15
 _P68, _P95 = 0.6827, 0.95
-_FEW_EVALUATIONS, _FEW_POINTS, _FEW_WALKERS, _THREADS = 60, 5, 64, 2
+_FEW_EVALUATIONS, _FEW_POINTS, _THREADS = 60, 5, 2
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class Width:
         Equal-tailed intervals.
     quadrature_mean, quadrature_sd : float
         From deterministic integration; NaN where that was not done.
-    rhat, ess_bulk, ess_tail : float
+    rhat, rhat_nested, ess_bulk, ess_tail : float
     verdict : str
     reason : str
     """
@@ -92,6 +92,7 @@ class Width:
     quadrature_mean: float
     quadrature_sd: float
     rhat: float
+    rhat_nested: float
     ess_bulk: float
     ess_tail: float
     verdict: Verdict
@@ -160,6 +161,7 @@ class Widths:
                 "ensembles": sampler.draws.shape[0],
                 "draws": int(np.prod(sampler.draws.shape[:2])),
                 "converged": sampler.converged,
+                "unmet": list(sampler.unmet),
                 "seed": sampler.seed,
             },
             "quadrature": None
@@ -179,6 +181,7 @@ def widths(
     seed: int,
     referee: bool = True,
     quick: bool = False,
+    sampler: Sampler = sample,
 ) -> Widths:
     """Fit, differentiate, profile, sample, integrate and judge.
 
@@ -195,6 +198,8 @@ def widths(
         Whether to do with a fit of limited length, a coarser profile, fewer draws, and no
         differential evolution: for models whose response takes long. What then does not
         converge is said not to.
+    sampler : callable
+        What draws from the posterior: see `Sampler`.
 
     Returns
     -------
@@ -202,21 +207,14 @@ def widths(
     """
     best = explore(problem, starts, evaluations=_FEW_EVALUATIONS) if quick else fit(problem, starts)
     shape = curvature(problem, best.values)
-    points, walkers = (_FEW_POINTS, _FEW_WALKERS) if quick else (POINTS, WALKERS)
+    points = _FEW_POINTS if quick else POINTS
 
     def follow(name: str) -> Profile:
         return profile(problem, best.values, name, points=points, shape=shape)
 
     with ThreadPoolExecutor(_THREADS if quick else 1) as pool:
         profiles = tuple(pool.map(follow, problem.names))
-    posterior = sample(
-        problem,
-        best.values,
-        seed=seed,
-        local_optima=best.reached,
-        walkers=walkers,
-        evolve=not quick,
-    )
+    posterior = sampler(problem, best.values, seed=seed, local_optima=best.reached, quick=quick)
     moments = None
     if referee and len(problem.names) <= 3:
         moments = quadrature(problem, best.values)
@@ -256,7 +254,7 @@ def _row(
         bounds=(float(problem.lower[i]), float(problem.upper[i])),
         pinned=path.pinned,
         at_bound=best.at_bound,
-        converged=posterior.converged,
+        unmet=posterior.unmet,
         referee=_disagreement(posterior, moments, i),
     )
     return Width(
@@ -280,6 +278,7 @@ def _row(
         quadrature_mean=float("nan") if moments is None else float(moments.mean[i]),
         quadrature_sd=float("nan") if moments is None else float(moments.sd[i]),
         rhat=float(posterior.rhat[i]),
+        rhat_nested=float(posterior.rhat_nested[i]),
         ess_bulk=float(posterior.ess_bulk[i]),
         ess_tail=float(posterior.ess_tail[i]),
         verdict=verdict,
@@ -299,7 +298,7 @@ def judge(
     bounds: tuple[float, float],
     pinned: tuple[str, ...],
     at_bound: tuple[str, ...],
-    converged: bool,
+    unmet: tuple[str, ...],
     referee: str = "",
 ) -> tuple[Verdict, str]:
     """Judge whether the quadratic width of one parameter describes its posterior, and why not.
@@ -309,15 +308,18 @@ def judge(
     the first of these that holds is the reason: the likelihood closes the profile on neither side
     (non-identifiable); a bound cuts it, the parameter's own or another's (truncated); the tails
     are heavy; or the likelihood is not quadratic over the width of the posterior (curved).
-    Where the sampler did not converge, or `referee` says how the quadrature contradicts it, there
-    is nothing to judge by.
+    Where the sampler did not converge, as `unmet` says, or the quadrature contradicts it, as
+    `referee` says, there is nothing to judge by.
 
     Returns
     -------
     (verdict, reason)
     """
-    if not converged:
-        return "not converged", "the sampler did not converge, so there is no posterior to judge by"
+    if unmet:
+        return (
+            "not converged",
+            f"the sampler did not converge ({unmet[0]}), so there is no posterior to judge by",
+        )
     if referee:
         return "not converged", referee
     ratio = posterior_sd / quadratic

@@ -18,7 +18,9 @@ from identifiability.inference.fitting import explore
 from identifiability.inference.problem import Problem, observe
 from identifiability.investigation.fits.bench import Workbench
 from identifiability.investigation.fits.candidate import Candidate
+from identifiability.investigation.search.found import Found
 from identifiability.investigation.split import Split
+from identifiability.investigation.verdict.judge import Verdict
 from identifiability.joint.response import simulate
 from identifiability.measurement.noise import Noise
 from identifiability.measurement.perturbations import (
@@ -29,8 +31,6 @@ from identifiability.measurement.perturbations import (
     prbs,
 )
 
-RESOLVED = 20.0
-"""Expected evidence at which a pair counts as resolved: twice the decisive difference."""
 _EVALUATIONS = 30
 _SIZES = 10  # of a perturbation that are tried until the response keeps within the limits
 _LEAD = 0.05  # [s] of rest before the perturbation
@@ -89,16 +89,25 @@ class NextExperiment:
     others : tuple of Design
         What else was tried, best first.
     limits : Limits
-    resolved : bool
-    sentence : str
+    needed : float
+        Expected evidence at which a pair counts as resolved.
     """
 
     pair: tuple[str, str]
     best: Design
     others: tuple[Design, ...]
     limits: Limits
-    resolved: bool
-    sentence: str
+    needed: float
+
+    @property
+    def resolved(self) -> bool:
+        """Whether one trial would do."""
+        return self.best.expected_evidence >= self.needed
+
+    @property
+    def repetitions(self) -> int:
+        """Number of trials that would do."""
+        return int(np.ceil(self.needed / max(self.best.expected_evidence, 1e-3)))
 
     def to_dict(self) -> dict[str, Any]:
         """Plain record, for JSON."""
@@ -159,18 +168,32 @@ def next_experiment(
     if not tried:
         raise InputError("no perturbation within the limits has a finite response")
     tried.sort(key=lambda d: -d.expected_evidence)
-    best = tried[0]
-    resolved = best.expected_evidence >= RESOLVED
-    first, second = (key.replace("_", " ") for key in pair)
-    sentence = (
-        f"To tell {first} from {second}: {best.perturbation} "
-        f"(expected evidence {best.expected_evidence:.0f} a trial, {RESOLVED:.0f} is enough)."
-        if resolved
-        else f"No single perturbation within the limits tells {first} from {second}; the best is "
-        f"{best.perturbation}, with an expected evidence of {best.expected_evidence:.1f} a trial: "
-        f"about {int(np.ceil(RESOLVED / max(best.expected_evidence, 1e-3)))} repetitions would do."
-    )
-    return NextExperiment(pair, best, tuple(tried[1:]), limits, resolved, sentence)
+    return NextExperiment(pair, tried[0], tuple(tried[1:]), limits, bench.rules.resolved)
+
+
+def open_pair(found: Found, verdict: Verdict) -> tuple[Candidate, tuple[str, str]] | None:
+    """The rival model that most deserves to be told from the final one, and what they differ in.
+
+    Parameters
+    ----------
+    found : Found
+    verdict : Verdict
+
+    Returns
+    -------
+    (Candidate, (str, str)) or None
+        ``None`` where no pair is open that an experiment could tell apart.
+    """
+    if found.description is not None:
+        replaced = " and ".join(m.key for m in found.replaced_by(found.description))
+        return found.description.candidate, (replaced, found.description.key)
+    if not verdict.sets:
+        return None
+    for missing in found.missing:
+        for rival in missing.equals:
+            if rival.key not in missing.effect.equivalent:
+                return rival.candidate, (missing.key, rival.key)
+    return None
 
 
 def _noise(split: Split, final: Candidate) -> float:
@@ -267,7 +290,7 @@ def _simulated(candidate: Candidate, drive: Drive) -> np.ndarray:
 def _distance(
     bench: Workbench, candidate: Candidate, drive: Drive, response: np.ndarray, noise: float
 ) -> float:
-    """Split that remains against a model refitted to another one's response."""
+    """Evidence that remains against a model refitted to another one's response."""
     if not np.all(np.isfinite(response)):
         raise InputError("the response is not finite")
     template = bench.problem(candidate.model, bench.split.fitted, refined=candidate.refined)

@@ -4,17 +4,22 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Sequence
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
 from identifiability.files import plain
+from identifiability.investigation.findings import Findings
 from identifiability.investigation.fits.candidate import Candidate
-from identifiability.investigation.investigate import Findings
+from identifiability.investigation.next_experiment import NextExperiment
 from identifiability.investigation.search.gate import Ranked
-from identifiability.investigation.split import Ready
 from identifiability.investigation.unexplained.account import Unexplained
 from identifiability.investigation.verdict.pinned import not_pinned_down
+from identifiability.investigation.wording import verdict as wording
+from identifiability.investigation.wording.next_experiment import next_experiment_sentence
+from identifiability.investigation.wording.unexplained import unexplained_sentence
+from identifiability.measurement.prepared import Prepared
 from identifiability.provenance import stamp
 
 SCHEMA = 1
@@ -35,87 +40,82 @@ def investigation_record(findings: Findings, *, command: str = "") -> dict[str, 
         ``schema``, ``baseline``, ``steps``, ``verdict`` and ``next_experiment``, then everything
         else that the report shows. E is Eq. 3's error pooled over trials.
     """
-    search, verdict, split = findings.search, findings.verdict, findings.split
-    sets = dict(zip(search.alternatives, verdict.equivalence_sets, strict=False))
-    found = {
-        "schema": SCHEMA,
-        "baseline": {
-            "effects": list(search.baseline.keys),
-            **_errors(search.baseline),
-            "noise_floor": split.noise_floor(),
-            "noise_floor_held_out": split.noise_floor(split.held_out) if split.held_out else None,
-            "parameters": dict(search.baseline.values),
-        },
-        "steps": [
-            {
-                "added": sets[key][0] if key in sets else key,
-                "fitted_as": key,
-                "equivalent": list(sets.get(key, ())[1:]),
-                **_errors(candidate),
-                "parameters": dict(candidate.values),
-            }
-            for key, candidate in search.ladder
-        ],
-        "verdict": {
-            "kind": verdict.kind,
-            "effects": list(verdict.effects),
-            "equivalence_sets": [list(s) for s in verdict.equivalence_sets],
-            "sentence": verdict.sentence,
-            "because": list(verdict.because),
-            "share_explained": verdict.share,
-            "smallest_seen": [
+    found, verdict, split = findings.found, findings.verdict, findings.split
+    written: dict[str, Any] = plain(
+        {
+            "schema": SCHEMA,
+            "baseline": {
+                "effects": list(found.baseline.keys),
+                **_errors(found.baseline),
+                "noise_floor": split.noise_floor(),
+                "noise_floor_held_out": split.noise_floor(split.held_out)
+                if split.held_out
+                else None,
+                "parameters": dict(found.baseline.values),
+            },
+            "steps": [
                 {
-                    "effect": d.key,
-                    "parameter": d.parameter,
-                    "size": d.size,
-                    "unit": d.unit,
-                    "sentence": d.sentence,
+                    "added": missing.name,
+                    "fitted_as": missing.key,
+                    "equivalent": list(missing.could_be[1:]),
+                    "share": missing.share,
+                    **_errors(missing.rung),
+                    "parameters": dict(missing.rung.values),
+                    "without": _errors(missing.without),
+                    "in_its_place": [_ranked(r) for r in missing.rivals],
                 }
-                for d in verdict.smallest_seen
+                for missing in found.missing
             ],
-        },
-        "next_experiment": None
-        if findings.next_experiment is None
-        else findings.next_experiment.to_dict(),
-        "rankings": [
-            {
-                "model": list(step.before.keys),
-                "chosen": step.chosen,
-                "candidates": [_ranked(r) for r in step.ranking],
-            }
-            for step in search.steps
-        ],
-        "alternatives": {
-            key: [_ranked(r) for r in ranked] for key, ranked in search.alternatives.items()
-        },
-        "descriptions": [_ranked(r) for r in search.descriptions],
-        "fits": search.n_fits,
-        "ended": search.ended,
-        "unexplained": {
-            "baseline": _unexplained(findings.unexplained_before),
-            "final": _unexplained(findings.unexplained_after),
-        },
-        "widths": None if findings.widths is None else findings.widths.to_dict(),
-        "not_pinned_down": []
-        if findings.widths is None
-        else list(not_pinned_down(findings.widths)),
-        "trials": [
-            *(_trial(r, "fitted") for r in split.fitted),
-            *(_trial(r, "held out") for r in split.held_out),
-        ],
-        "held_out": split.how_held_out,
-        "driven": split.driven,
-        "warnings": list(findings.warnings),
-        **stamp(__name__),
-        "seed": findings.seed,
-        "data_sha256": data_hash((*split.fitted, *split.held_out)),
-        "command": command,
-    }
-    written: dict[str, Any] = plain(found)
+            "verdict": {
+                "kind": verdict.kind,
+                "effects": list(verdict.effects),
+                "equivalence_sets": [list(names) for names in verdict.sets],
+                "sentence": wording.verdict_sentence(findings),
+                "because": wording.because(findings),
+                "reasons": [asdict(reason) for reason in verdict.reasons],
+                "share_explained": verdict.share,
+                "smallest_seen": [asdict(seen) for seen in verdict.smallest_seen],
+            },
+            "next_experiment": _next_experiment(findings.next_experiment),
+            "rankings": [
+                {
+                    "model": list(ranking.before.keys),
+                    "chosen": ranking.chosen,
+                    "candidates": [_ranked(r) for r in ranking.ranked],
+                    "screened_out": list(ranking.screened_out),
+                }
+                for ranking in found.rankings
+            ],
+            "descriptions": [_ranked(r) for r in found.descriptions],
+            "fits": found.n_fits,
+            "ended": found.ended,
+            "unexplained": {
+                "baseline": _unexplained(findings.unexplained_before),
+                "final": _unexplained(findings.unexplained_after),
+            },
+            "widths": None if findings.widths is None else findings.widths.to_dict(),
+            "not_pinned_down": []
+            if findings.widths is None
+            else [asdict(p) for p in not_pinned_down(findings.widths, split.rules.loose)],
+            "trials": [
+                *(_trial(r, "fitted") for r in split.fitted),
+                *(_trial(r, "held out") for r in split.held_out),
+            ],
+            "held_out": split.how_held_out,
+            "driven": split.driven,
+            "rules": asdict(split.rules),
+            "failures": dict(findings.failures),
+            "warnings": list(findings.warnings),
+            **stamp(__name__, "identifiability.investigation.investigate"),
+            "seed": findings.seed,
+            "data_sha256": data_hash((*split.fitted, *split.held_out)),
+            "command": command,
+        }
+    )
     return written
 
 
-def data_hash(trials: Sequence[Ready]) -> str:
+def data_hash(trials: Sequence[Prepared]) -> str:
     """SHA-256 over the files' hashes, or the samples where a trial came from no file."""
     digest = hashlib.sha256()
     for ready in trials:
@@ -125,6 +125,16 @@ def data_hash(trials: Sequence[Ready]) -> str:
             digest.update(np.ascontiguousarray(ready.trial.torque).tobytes())
             digest.update(np.ascontiguousarray(ready.trial.angle).tobytes())
     return digest.hexdigest()
+
+
+def _next_experiment(following: NextExperiment | None) -> dict[str, Any] | None:
+    if following is None:
+        return None
+    return {
+        **following.to_dict(),
+        "resolved": following.resolved,
+        "sentence": next_experiment_sentence(following),
+    }
 
 
 def _errors(candidate: Candidate) -> dict[str, float | None]:
@@ -144,12 +154,13 @@ def _ranked(ranked: Ranked) -> dict[str, Any]:
         "evidence": ranked.evidence,
         "held_out_gain": ranked.held_out_gain,
         "admitted": ranked.passes,
-        "reason": ranked.reason,
+        "refusal": ranked.refusal,
         "objection": ranked.objection,
         "doubt": ranked.doubt,
         "evidence_of_all_trials": ranked.refitted,
         **_errors(candidate),
-        "parameters": {n: v for n, v in candidate.values.items() if n.startswith(f"{ranked.key}.")},
+        "model": list(candidate.keys),
+        "parameters": dict(candidate.values),
         "at_bound": list(candidate.at_bound),
         "refined": list(candidate.refined),
         "fitted_to_the_end": candidate.thorough,
@@ -162,7 +173,7 @@ def _unexplained(rest: Unexplained | None) -> dict[str, Any] | None:
     if rest is None:
         return None
     return {
-        "sentence": rest.sentence,
+        "sentence": unexplained_sentence(rest),
         "best": rest.best.key,
         "kind": rest.best.kind,
         "margin": rest.margin,
@@ -176,15 +187,6 @@ def _unexplained(rest: Unexplained | None) -> dict[str, Any] | None:
     }
 
 
-def _trial(ready: Ready, role: str) -> dict[str, Any]:
-    trial = ready.trial
-    return {
-        "name": trial.name,
-        "role": role,
-        "source": trial.source,
-        "sha256": trial.sha256,
-        "samples": ready.last - ready.first,
-        "sampling_rate": trial.sampling_rate,
-        "noise_sd": ready.lead.sd if ready.lead.n_samples else None,
-        "notes": list(trial.notes),
-    }
+def _trial(prepared: Prepared, role: str) -> dict[str, Any]:
+    noise_sd = prepared.lead.sd if prepared.lead.n_samples else None
+    return {**prepared.record(), "role": role, "noise_sd": noise_sd}

@@ -57,6 +57,15 @@ class Rules:
         noise alone.
     trace_share : float
         Share of what is left, below which an account of it explains nothing.
+    clear_latency : float
+        Share of the margin by which a kind won that the log evidence of a latency must exceed,
+        above `decisive_kind`, for the latency to be spoken of: in a kind that explains much, a
+        small misfit of its kernel makes as much difference.
+    least_latency : float
+        Shortest latency [s] that is spoken of.
+    notable : float
+        Standard errors from which the change of one of K, B and I between parts of the trials is
+        named, where they change at all.
     unmoved : float
         Change of the logarithm of a held-out error that says nothing either way.
     enough_noise : float
@@ -86,6 +95,9 @@ class Rules:
     kind_share: float = 0.8
     quiet_share: float = 0.1
     trace_share: float = 0.01
+    clear_latency: float = 0.1
+    least_latency: float = 0.01
+    notable: float = 3.0
     unmoved: float = 0.05
     enough_noise: float = 1.5
     loose: float = 0.5

@@ -9,7 +9,6 @@ trades with it.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
@@ -103,49 +102,14 @@ def _spectrum(trial: Trial) -> tuple[np.ndarray, np.ndarray]:
     return signal.welch(trial.angle, trial.sampling_rate, nperseg=length, detrend="linear")
 
 
-@dataclass(frozen=True, eq=False)
-class Smooth:
-    """A trial about its mean, low-pass filtered or not.
-
-    Attributes
-    ----------
-    trial : Trial
-        At all its samples.
-    every : int
-        Every so-many-th sample is worth comparing; those between tell nothing new.
-    settled : (int, int)
-        First and last sample (excluded) that the ends of the filter do not touch.
-    """
-
-    trial: Trial
-    every: int
-    settled: tuple[int, int]
-
-    @property
-    def settled_of_kept(self) -> tuple[int, int]:
-        """The same, counted in every so-many-th sample."""
-        first, last = self.settled
-        return -(-first // self.every), -(-last // self.every)
-
-
-def smooth(trial: Trial, cutoff_hz: float | None) -> Smooth:
-    """Take off a trial's operating point and filter both channels.
-
-    Parameters
-    ----------
-    trial : Trial
-    cutoff_hz : float or None
-        Cut-off frequency [Hz]; ``None`` for no filter.
-    """
-    ready = trial.centred("mean")
-    if cutoff_hz is None:
-        return Smooth(ready, 1, (0, ready.n_samples))
-    return Smooth(ready.lowpass(cutoff_hz), stride(trial, cutoff_hz), settled(trial, cutoff_hz))
-
-
 def stride(trial: Trial, cutoff_hz: float) -> int:
     """Return how many samples to go on: those between tell nothing new below a cut-off [Hz]."""
     return max(1, int(trial.sampling_rate / (_SAMPLES_PER_CYCLE * cutoff_hz)))
+
+
+def reach(trial: Trial, cutoff_hz: float) -> int:
+    """Return how many samples away a filter of this cut-off [Hz] still spreads a motion."""
+    return round(_REACH * trial.sampling_rate / cutoff_hz)
 
 
 def settled(trial: Trial, cutoff_hz: float) -> tuple[int, int]:
@@ -163,7 +127,7 @@ def settled(trial: Trial, cutoff_hz: float) -> tuple[int, int]:
         Cut-off frequency [Hz].
     """
     n = trial.n_samples
-    edge = min(round(_REACH * trial.sampling_rate / cutoff_hz), int(_LARGEST_SHARE * n))
+    edge = min(reach(trial, cutoff_hz), int(_LARGEST_SHARE * n))
     long = edge < _SMALL_SHARE * n
     return edge if long and not _begins_at_rest(trial, max(1, edge // 4)) else 0, n - edge
 

@@ -251,9 +251,22 @@ class Trial:
             over = f"mean of the {n_used} quiet samples before the perturbation"
         else:
             raise InputError(f"centring is {how!r}, but must be 'mean', 'baseline' or 'none'")
-        torque, angle = float(self.torque[:n_used].mean()), float(self.angle[:n_used].mean())
+        return self.less(
+            float(self.torque[:n_used].mean()), float(self.angle[:n_used].mean()), over
+        )
+
+    def less(self, torque: float, angle: float, what: str) -> Trial:
+        """Return the trial less an operating point.
+
+        Parameters
+        ----------
+        torque, angle : float
+            Levels (Nm, rad) to take off.
+        what : str
+            What they are, for the notes: such as "mean".
+        """
         return self._changed(
-            f"operating point removed ({over}): {torque:.6g} Nm, {angle:.6g} rad",
+            f"operating point removed ({what}): {torque:.6g} Nm, {angle:.6g} rad",
             torque=self.torque - torque,
             angle=self.angle - angle,
         )

@@ -20,18 +20,9 @@ from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullLocat
 
 from identifiability.files import replacing
 from identifiability.inference.widths import VERDICTS
+from identifiability.palette import BLUE, GREY, ORANGE, SKY, VERMILLION, YELLOW
 from identifiability.plots.corner import corner_figure
-from identifiability.plots.style import (
-    BLUE,
-    DPI,
-    GREY,
-    MAP,
-    ORANGE,
-    SKY,
-    VERMILLION,
-    YELLOW,
-    styled,
-)
+from identifiability.plots.style import DPI, MAP, styled
 from identifiability.study.atlas import Corner, Plan
 from identifiability.sweep.outcome import Arrays, Outcome
 from identifiability.sweep.run import sweep

@@ -9,7 +9,8 @@ from matplotlib.figure import Figure
 
 from identifiability.benchmark.score import NAMING, Score
 from identifiability.joint.effects import EFFECTS
-from identifiability.plots.style import BLACK, styled
+from identifiability.palette import BLACK
+from identifiability.plots.style import styled
 
 _NOTHING = {
     "nothing_missing": "nothing missing",

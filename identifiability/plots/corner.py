@@ -13,7 +13,8 @@ from matplotlib.patches import Ellipse, Patch
 
 from identifiability.inference.widths import Widths
 from identifiability.joint.model import Model
-from identifiability.plots.style import BLACK, BLUE, GREEN, VERMILLION, styled
+from identifiability.palette import BLACK, BLUE, GREEN, VERMILLION
+from identifiability.plots.style import styled
 
 # Mass inside 1 and 2 standard deviations of a two-dimensional Gaussian: 1 - exp(-r²/2).
 LEVELS = (0.3935, 0.8647)

@@ -9,10 +9,10 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
 from identifiability.inference.widths import Widths
-from identifiability.investigation.investigate import Findings
-from identifiability.investigation.search.gate import DECISIVE
-from identifiability.investigation.search.search import Ranking
-from identifiability.plots.style import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILLION, styled
+from identifiability.investigation.findings import Findings
+from identifiability.investigation.search.found import Ranking
+from identifiability.palette import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILLION
+from identifiability.plots.style import styled
 
 _DIVERGED = 1e3  # E of a prediction that has nothing to do with the trial any more
 _FEWEST = 1.0  # evidence below it is drawn at this length: the axis is logarithmic
@@ -23,12 +23,12 @@ def error_text(error: float, digits: int = 3) -> str:
     return f"{error:.{digits}g}" if error < _DIVERGED else "diverges"
 
 
-def ranking_figure(step: Ranking, members: Sequence[str] = ()) -> Figure:
-    """Split of every candidate for one step, physics and measurement in two colours.
+def ranking_figure(ranking: Ranking, members: Sequence[str] = ()) -> Figure:
+    """Evidence of every candidate beside one model, physics and measurement in two colours.
 
     Parameters
     ----------
-    step : Ranking
+    ranking : Ranking
     members : sequence of str
         Effects that cannot be told apart from the one that was chosen.
 
@@ -36,10 +36,10 @@ def ranking_figure(step: Ranking, members: Sequence[str] = ()) -> Figure:
     -------
     Figure
     """
-    ranked = [r for r in step.ranking if not r.candidate.failure]
-    failed = [r for r in step.ranking if r.candidate.failure]
+    ranked = [r for r in ranking.ranked if not r.candidate.failure]
+    failed = [r for r in ranking.ranked if r.candidate.failure]
     with styled():
-        figure = Figure(figsize=(9.0, 0.36 * len(step.ranking) + 1.9))
+        figure = Figure(figsize=(9.0, 0.36 * len(ranking.ranked) + 1.9))
         axes = figure.subplots()
         for row, r in enumerate(ranked):
             colour = ORANGE if r.effect.kind == "measurement" else BLUE
@@ -50,8 +50,8 @@ def ranking_figure(step: Ranking, members: Sequence[str] = ()) -> Figure:
                 edgecolor=colour,
                 height=0.68,
             )
-            mark = "   chosen" if r.key == step.chosen else ""
-            if r.key in members and r.key != step.chosen:
+            mark = "   chosen" if r.key == ranking.chosen else ""
+            if r.key in members and r.key != ranking.chosen:
                 mark = "   cannot be told apart from it"
             held = r.candidate.held_out.error
             words = f"E held out {error_text(held, 2)}{mark}" if np.isfinite(held) else mark.strip()
@@ -75,15 +75,15 @@ def ranking_figure(step: Ranking, members: Sequence[str] = ()) -> Figure:
                 fontsize=9,
                 color=VERMILLION,
             )
-        axes.axvline(DECISIVE, color=GREY, lw=1, ls="--", zorder=0)
+        axes.axvline(ranking.decisive, color=GREY, lw=1, ls="--", zorder=0)
         axes.set_yticks(
-            range(len(step.ranking)), [r.key.replace("_", " ") for r in (*ranked, *failed)]
+            range(len(ranking.ranked)), [r.key.replace("_", " ") for r in (*ranked, *failed)]
         )
-        axes.set_ylim(len(step.ranking) - 0.4, -0.6)
+        axes.set_ylim(len(ranking.ranked) - 0.4, -0.6)
         axes.set_xscale("log")
-        top = max([r.evidence for r in ranked] + [10 * DECISIVE])
+        top = max([r.evidence for r in ranked] + [10 * ranking.decisive])
         axes.set_xlim(_FEWEST, top**1.5)
-        before = ", ".join(k.replace("_", " ") for k in step.before.keys) or "K, B, I alone"
+        before = ", ".join(k.replace("_", " ") for k in ranking.before.keys) or "K, B, I alone"
         axes.set_xlabel(
             "evidence for adding it (twice log likelihood less penalty); dashed: decisive"
         )
@@ -101,9 +101,9 @@ def ranking_figure(step: Ranking, members: Sequence[str] = ()) -> Figure:
 
 def ladder_figure(findings: Findings) -> Figure:
     """Error on fitted and held-out trials with every effect added, against the noise floor."""
-    search, split = findings.search, findings.split
-    names = ["K, B, I", *(f"+ {key.replace('_', ' ')}" for key, _ in search.ladder)]
-    rungs = [search.baseline, *(candidate for _, candidate in search.ladder)]
+    found, split = findings.found, findings.split
+    names = ["K, B, I", *(f"+ {m.key.replace('_', ' ')}" for m in found.missing)]
+    rungs = found.ladder
     with styled():
         figure = Figure(figsize=(7.5, 4.2))
         axes = figure.subplots()

@@ -11,18 +11,19 @@ from matplotlib.colors import TwoSlopeNorm
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.patches import Patch
 
-from identifiability.investigation.unexplained.account import DECISIVE, Unexplained
+from identifiability.investigation.unexplained.account import Unexplained
 from identifiability.investigation.unexplained.readouts import (
     MemoryKernel,
     MissingTorque,
     StaticMap,
 )
-from identifiability.plots.style import BLUE, GREY, ORANGE, PURPLE, VERMILLION, styled
+from identifiability.investigation.where.drawing import INTERVAL
+from identifiability.palette import BLUE, GREY, ORANGE, PURPLE, VERMILLION
+from identifiability.plots.style import styled
 
 _MOST_TRIALS, _MOST_FAMILIES = 4, 8
 _LINE = 44  # letters of a family's name in one line
 _LONGEST = 3.0  # s of a trial that are shown
-_BAND = 1.96
 _COLOURS = {"sensor": ORANGE, "drift": ORANGE, "none": GREY, "unrepeatable": PURPLE}
 _MEANINGS = {
     BLUE: "a function of the motion",
@@ -69,9 +70,9 @@ def _families(axes: Axes, rest: Unexplained) -> None:
     axes.set_yticks(range(len(shown)), [fill(name, _LINE) for name in names], fontsize=8.5)
     axes.invert_yaxis()
     axes.axvline(0, color=GREY, lw=0.8)
-    axes.axvline(heights[0] - DECISIVE, color=GREY, lw=1, ls="--")
+    axes.axvline(heights[0] - rest.decisive, color=GREY, lw=1, ls="--")
     axes.set_xlabel(
-        f"log evidence against noise alone [nats]; dashed: {DECISIVE:.0f} below the best"
+        f"log evidence against noise alone [nats]; dashed: {rest.decisive:.0f} below the best"
     )
     axes.set_title("what kind of thing is left", loc="left", pad=24)
     axes.legend(
@@ -87,8 +88,8 @@ def _kernel(axes: Axes, kernel: MemoryKernel) -> None:
     lag = 1000 * kernel.lag
     axes.fill_between(
         lag,
-        kernel.h - _BAND * kernel.sd,
-        kernel.h + _BAND * kernel.sd,
+        kernel.h - INTERVAL * kernel.sd,
+        kernel.h + INTERVAL * kernel.sd,
         color=BLUE,
         alpha=0.25,
         lw=0,
@@ -127,7 +128,7 @@ def _torques(figure: SubFigure, torques: Sequence[MissingTorque]) -> None:
         part = slice(0, int(np.searchsorted(t.time, t.time[0] + _LONGEST)) + 1)
         time, mean, sd = t.time[part], t.mean[part], t.sd[part]
         axes.fill_between(
-            time, mean - _BAND * sd, mean + _BAND * sd, color=VERMILLION, alpha=0.25, lw=0
+            time, mean - INTERVAL * sd, mean + INTERVAL * sd, color=VERMILLION, alpha=0.25, lw=0
         )
         axes.plot(time, mean, color=VERMILLION, lw=1.2)
         axes.axhline(0, color=GREY, lw=0.8)

@@ -14,19 +14,8 @@ from matplotlib.patches import Ellipse
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
-from identifiability.plots.style import (
-    BLACK,
-    BLUE,
-    CYCLE,
-    GREEN,
-    GREY,
-    MAP,
-    MARKERS,
-    SECOND_MAP,
-    VERMILLION,
-    letter,
-    styled,
-)
+from identifiability.palette import BLACK, BLUE, GREEN, GREY, VERMILLION
+from identifiability.plots.style import CYCLE, MAP, MARKERS, SECOND_MAP, letter, styled
 from identifiability.study.paper import PanelFit, Surface, Valley
 from identifiability.study.paper_record import RATIO, SINUSOID_K, approximations, relative_change
 

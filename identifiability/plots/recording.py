@@ -6,7 +6,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from identifiability.inference.recordings import RecordingFit
-from identifiability.plots.style import BLACK, BLUE, GREY, VERMILLION, styled
+from identifiability.palette import BLACK, BLUE, GREY, VERMILLION
+from identifiability.plots.style import styled
 
 _MOST_TRIALS, _LONGEST = 6, 3.0
 
@@ -32,7 +33,7 @@ def overlay_figure(result: RecordingFit) -> Figure:
             torque_driven = prepared.trial.driven == "torque"
             first = max(0, prepared.onsets[0] - round(0.1 / prepared.interval))
             part = slice(first, first + round(_LONGEST / prepared.interval) + 1)
-            time = prepared.time[part]
+            time = prepared.trial.time[part]
             imposed = prepared.drive.signals[part, 0]
             column[0].plot(time, imposed, color=GREY)
             column[1].plot(time, prepared.response[part], color=BLACK, lw=2.4, label="measured")

@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from identifiability.files import write_text
-from identifiability.investigation.investigate import Findings
-from identifiability.investigation.search.gate import DECISIVE, Ranked
-from identifiability.investigation.search.search import Ranking
+from identifiability.inference.widths import Widths
+from identifiability.investigation.findings import Findings
+from identifiability.investigation.search.found import Found, Ranking
+from identifiability.investigation.search.gate import Ranked
 from identifiability.investigation.verdict.pinned import interval, not_pinned_down
-from identifiability.joint.parameters import with_unit
+from identifiability.investigation.wording import verdict as words
+from identifiability.investigation.wording.describe import describe
+from identifiability.investigation.wording.next_experiment import next_experiment_sentence
+from identifiability.investigation.wording.pinned import loose_sentence
+from identifiability.investigation.wording.unexplained import unexplained_sentence
+from identifiability.joint.parameters import Parameter, with_unit
 from identifiability.plots.investigation import (
     error_text,
     ladder_figure,
@@ -29,15 +36,30 @@ from identifiability.plots.investigation_where import (
 from identifiability.plots.style import png, save
 from identifiability.report.page import Page
 
-_KINDS = {
-    "explained": "Explained",
-    "one_of": "One of several effects",
-    "unknown_static": "An unknown effect of the present state",
-    "unknown_memory": "An unknown effect with memory",
-    "measurement": "The measurement",
-    "unrepeatable": "Not repeatable",
-    "nothing_missing": "Nothing missing",
+_ENDED = {
+    "nothing admitted": "no further effect was admitted",
+    "most effects": "no more effects were to be added",
 }
+
+
+@dataclass(frozen=True)
+class _Figures:
+    """Draws figures into a page and a folder."""
+
+    page: Page
+    out: Path
+    written: list[str] = field(default_factory=list)
+
+    def show(self, name: str, draw: Callable[[], Any], caption: str) -> None:
+        # A figure that cannot be drawn must not take the report with it.
+        try:
+            figure = draw()
+        except (ValueError, ArithmeticError, IndexError, KeyError) as error:
+            self.page.paragraph(f"(This figure could not be drawn: {error}.)")
+            return
+        save(figure, self.out / f"{name}.png")
+        self.written.append(f"{name}.png")
+        self.page.figure(png(figure), caption, alt=caption)
 
 
 def write_report(findings: Findings, record: dict[str, Any], out: Path) -> list[str]:
@@ -56,100 +78,139 @@ def write_report(findings: Findings, record: dict[str, Any], out: Path) -> list[
     list of str
         Names of the figure files.
     """
-    search, verdict = findings.search, findings.verdict
     page = Page("What does the joint model miss?")
-    written: list[str] = []
+    figures = _Figures(page, out)
+    _verdict(page, findings)
+    _data_and_model(page, figures, findings)
+    _where(page, figures, findings)
+    _which(page, figures, findings)
+    _ladder(page, figures, findings, record)
+    _unexplained(page, figures, findings)
+    _parameters(page, figures, findings)
+    _next(page, findings)
+    _how(page, findings, record)
+    write_text(out / "report.html", page.render())
+    return figures.written
 
-    def show(name: str, draw: Callable[[], Any], caption: str) -> None:
-        # A figure that cannot be drawn must not take the report with it.
-        try:
-            figure = draw()
-        except (ValueError, ArithmeticError, IndexError, KeyError) as error:
-            page.paragraph(f"(This figure could not be drawn: {error}.)")
-            return
-        save(figure, out / f"{name}.png")
-        written.append(f"{name}.png")
-        page.figure(png(figure), caption, alt=caption)
 
+def _failed(page: Page, findings: Findings, part: str) -> None:
+    """Say why a part is not there, if it failed."""
+    if part in findings.failures:
+        page.paragraph(f"This part could not be done: {findings.failures[part]}.")
+
+
+def _verdict(page: Page, findings: Findings) -> None:
     split = findings.split
     page.paragraph(
         f"{len(split.fitted)} trial(s) fitted, {len(split.held_out)} held out "
-        f"({split.how_held_out}); {split.driven} imposed; {search.n_fits} models fitted."
+        f"({split.how_held_out}); {split.driven} imposed; {findings.found.n_fits} models fitted."
     )
-    page.box([_KINDS[verdict.kind] + ".", verdict.sentence])
-    page.items(list(verdict.because))
+    page.box([words.TITLES[findings.verdict.kind] + ".", words.verdict_sentence(findings)])
+    page.items(words.because(findings))
+    if findings.warnings:
+        page.heading("What could not be done")
+        page.items(list(findings.warnings))
 
+
+def _data_and_model(page: Page, figures: _Figures, findings: Findings) -> None:
+    found = findings.found
     page.heading("Data and model")
-    after = search.final if search.final is not search.baseline else None
-    show(
+    after = found.final if found.missing else None
+    figures.show(
         "overlay",
-        lambda: responses_figure(split, search.baseline, after),
+        lambda: responses_figure(findings.split, found.baseline, after),
         "Measured and predicted responses, and under each what is left.",
     )
-    if findings.comparison is not None:
-        comparison = findings.comparison
+    _failed(page, findings, "comparison")
+    if (comparison := findings.comparison) is not None:
         page.paragraph(
             "If the model is right, K, B and I are the same for every window, amplitude, direction "
             "and kind of trial."
         )
-        page.items(list(comparison.sentences))
-        show(
+        page.items(list(describe(comparison)))
+        figures.show(
             "comparison",
             lambda: comparison_figure(comparison),
             "K, B and I of the baseline model, fitted to parts of the trials.",
         )
-    if findings.location is not None:
-        location = findings.location
-        page.heading("Where the baseline fails")
-        page.items(list(location.sentences))
-        show("where", lambda: where_figure(location), "Where the residual exceeds the noise.")
 
+
+def _where(page: Page, figures: _Figures, findings: Findings) -> None:
+    page.heading("Where the baseline fails")
+    _failed(page, findings, "location")
+    if (location := findings.location) is not None:
+        page.items(list(describe(location)))
+        figures.show(
+            "where", lambda: where_figure(location), "Where the residual exceeds the noise."
+        )
+
+
+def _which(page: Page, figures: _Figures, findings: Findings) -> None:
+    found = findings.found
+    members = {m.key: m.could_be for m in found.missing}
     page.heading("Which effect is missing")
-    sets = dict(zip(search.alternatives, verdict.equivalence_sets, strict=False))
-    for number, step in enumerate(search.steps, 1):
-        show(
+    for number, ranking in enumerate(found.rankings, 1):
+        figures.show(
             f"ranking_{number}",
-            lambda step=step: ranking_figure(step, sets.get(step.chosen, ())),  # type: ignore[misc]
-            f"Ranking {number}: every effect added to the model and fitted anew. Split above "
-            f"{DECISIVE:.0f} is decisive; an effect is admitted if the held-out trials agree.",
+            lambda ranking=ranking: ranking_figure(  # type: ignore[misc]
+                ranking, members.get(ranking.chosen, ())
+            ),
+            f"Step {number}: every effect added to the model and fitted anew. Evidence above "
+            f"{ranking.decisive:.0f} is decisive; an effect is admitted if the held-out trials "
+            "agree.",
         )
-        _ranking_table(page, step)
-        if step.screened_out:
-            names = ", ".join(key.replace("_", " ") for key in step.screened_out)
+        _ranking_table(page, ranking)
+        if ranking.screened_out:
+            names = ", ".join(words.plain(key) for key in ranking.screened_out)
             page.paragraph(f"Not fitted at this step, their signature not being there: {names}.")
-    page.paragraph(f"The search ended because {search.ended}.")
-    if search.alternatives and len(search.ladder) > 1:
-        page.paragraph("In the place of each effect of the final model, the best others:")
-        rows = [
-            [
-                key.replace("_", " "),
-                r.key.replace("_", " "),
-                f"{r.evidence:.1f}",
-                error_text(r.candidate.held_out.error),
-            ]
-            for key, ranked in search.alternatives.items()
-            for r in ranked[:4]
-            if not r.candidate.failure
-        ]
-        page.table(
-            ["in the place of", "effect", "evidence against the final model", "E held out"],
-            rows,
-            text_columns=(0, 1),
-        )
-
-    for r in search.descriptions:
+    page.paragraph(f"The search ended because {_ended(findings)}.")
+    _in_their_place(page, found)
+    for r in found.descriptions:
         if r.candidate.failure:
             continue
-        replaced = [key.replace("_", " ") for key in search.replaced_by(r)]
+        replaced = [words.plain(m.key) for m in found.replaced_by(r)]
         page.paragraph(
-            f"Held against {' and '.join(replaced)}: {r.key.replace('_', ' ')}, which names no "
+            f"Held against {' and '.join(replaced)}: {words.plain(r.key)}, which names no "
             f"one mechanism, {'and displaces' if r.passes else 'but does not displace'} "
-            f"{'it' if len(replaced) == 1 else 'them'}. Split against the final model "
+            f"{'it' if len(replaced) == 1 else 'them'}. Evidence against the final model "
             f"{r.evidence:.1f}, E held out {error_text(r.candidate.held_out.error)}."
         )
 
+
+def _ended(findings: Findings) -> str:
+    if findings.found.ended in _ENDED:
+        return _ENDED[findings.found.ended]
+    if findings.split.has_noise:
+        return "the error reached the noise floor"
+    error = findings.split.rules.discrepancy
+    return f"the noise is not known, and an error below {error:g} may be one of measurement"
+
+
+def _in_their_place(page: Page, found: Found) -> None:
+    if len(found.missing) < 2:
+        return
+    page.paragraph("In the place of each effect of the final model, the best others:")
+    rows = [
+        [
+            words.plain(missing.key),
+            words.plain(r.key),
+            f"{r.evidence:.1f}",
+            error_text(r.candidate.held_out.error),
+        ]
+        for missing in found.missing
+        for r in missing.rivals[:4]
+        if not r.candidate.failure
+    ]
+    page.table(
+        ["in the place of", "effect", "evidence against the final model", "E held out"],
+        rows,
+        text_columns=(0, 1),
+    )
+
+
+def _ladder(page: Page, figures: _Figures, findings: Findings, record: dict[str, Any]) -> None:
     page.heading("Error ladder")
-    show(
+    figures.show(
         "ladder",
         lambda: ladder_figure(findings),
         "Error of the model with every effect added, on trials that were fitted and on those that "
@@ -157,49 +218,60 @@ def write_report(findings: Findings, record: dict[str, Any], out: Path) -> list[
     )
     floor = record["baseline"]["noise_floor"]
     rungs = [("K, B, I", record["baseline"])]
-    rungs += [("+ " + step["added"].replace("_", " "), step) for step in record["steps"]]
+    rungs += [("+ " + words.plain(step["added"]), step) for step in record["steps"]]
     rows = [_rung(name, rung["error_fit"], rung["error_held_out"]) for name, rung in rungs]
     rows.append(_rung("noise floor", floor, record["baseline"]["noise_floor_held_out"]))
     page.table(["model", "E fitted", "E held out", "VAF fitted [%]", "VAF held out [%]"], rows)
 
+
+def _unexplained(page: Page, figures: _Figures, findings: Findings) -> None:
     page.heading("Unexplained torque")
-    before = findings.unexplained_before
+    before, after = findings.unexplained_before, findings.unexplained_after
+    _failed(page, findings, "unexplained torque")
     if before is not None:
-        page.paragraph(f"Baseline. {before.sentence}")
-        show(
+        page.paragraph(f"Baseline. {unexplained_sentence(before)}")
+        figures.show(
             "unexplained_baseline",
             lambda: unexplained_figure(before),
             "What the baseline lacks, with nothing assumed but its family.",
         )
-    if findings.unexplained_after is not before:
-        page.paragraph(f"Final model. {findings.unexplained_after.sentence}")
-        show(
+    if after is not before:
+        page.paragraph(f"Final model. {unexplained_sentence(after)}")
+        figures.show(
             "unexplained_final",
-            lambda: unexplained_figure(findings.unexplained_after),
+            lambda: unexplained_figure(after),
             "What the final model still lacks.",
         )
 
-    page.heading("Parameters and their widths")
-    if findings.widths is None:
-        page.paragraph("Widths were not computed.")
-        _values_table(page, search.final.values, search.final.model.parameters)
-    else:
-        found = findings.widths
-        loose = not_pinned_down(found)
-        page.items(list(loose) or ["All parameters are known to better than half their value."])
-        _widths_table(page, found)
-        show("widths", lambda: widths_figure(found), "Widths over values of all parameters.")
 
+def _parameters(page: Page, figures: _Figures, findings: Findings) -> None:
+    page.heading("Parameters and their widths")
+    found, final = findings.widths, findings.found.final
+    if found is None:
+        if "widths" not in findings.failures:
+            page.paragraph("Widths were not computed.")
+        _failed(page, findings, "widths")
+        _values_table(page, final.values, final.model.parameters)
+        return
+    loose = [loose_sentence(p) for p in not_pinned_down(found, findings.split.rules.loose)]
+    page.items(loose or ["All parameters are known to better than half their value."])
+    _widths_table(page, found)
+    figures.show("widths", lambda: widths_figure(found), "Widths over values of all parameters.")
+
+
+def _next(page: Page, findings: Findings) -> None:
     page.heading("Next experiment")
     following = findings.next_experiment
-    if following is None:
+    if "next experiment" in findings.failures:
+        _failed(page, findings, "next experiment")
+    elif following is None:
         page.paragraph(
             "Nothing is open between effects that an experiment could separate."
-            if verdict.kind in ("explained", "nothing_missing")
+            if findings.verdict.kind in ("explained", "nothing_missing")
             else "No pair of named effects is left that an experiment could separate."
         )
     else:
-        page.paragraph(following.sentence)
+        page.paragraph(next_experiment_sentence(following))
         page.table(
             ["perturbation", "expected evidence a trial"],
             [
@@ -209,6 +281,8 @@ def write_report(findings: Findings, record: dict[str, Any], out: Path) -> list[
             text_columns=(0,),
         )
 
+
+def _how(page: Page, findings: Findings, record: dict[str, Any]) -> None:
     page.heading("How this was computed")
     page.items(
         [
@@ -216,8 +290,11 @@ def write_report(findings: Findings, record: dict[str, Any], out: Path) -> list[
             f"data SHA-256 {record['data_sha256']}",
             "E is the summed squared residual over the summed squared response of a trial (Eq. 3 "
             "of Kistemaker & Rozendaal 2011), averaged over trials; VAF is 1 - E.",
-            "Split is the number of independent samples times the logarithm of the ratio of "
+            "Evidence is the number of independent samples times the logarithm of the ratio of "
             "residuals, less the penalty of the Bayesian information criterion.",
+            "Conventions: "
+            + ", ".join(f"{name.replace('_', ' ')} {v:.3g}" for name, v in record["rules"].items())
+            + ".",
         ]
     )
     if record["command"]:
@@ -237,17 +314,13 @@ def write_report(findings: Findings, record: dict[str, Any], out: Path) -> list[
         ],
         text_columns=(0, 1, 5),
     )
-    if findings.warnings:
-        page.heading("What could not be done")
-        page.items(list(findings.warnings))
-    write_text(out / "report.html", page.render())
-    return written
 
 
-def _ranking_table(page: Page, step: Ranking) -> None:
+def _ranking_table(page: Page, ranking: Ranking) -> None:
     rows, marked = [], []
-    for r in step.ranking:
-        marked.append("chosen" if r.key == step.chosen else "failed" if r.candidate.failure else "")
+    for r in ranking.ranked:
+        chosen = "chosen" if r.key == ranking.chosen else ""
+        marked.append("failed" if r.candidate.failure else chosen)
         rows.append(_ranking_row(r))
     page.table(
         ["effect", "kind", "evidence", "E fitted", "E held out", "parameters", "remarks"],
@@ -258,29 +331,24 @@ def _ranking_table(page: Page, step: Ranking) -> None:
 
 
 def _ranking_row(r: Ranked) -> list[str]:
-    if r.candidate.failure:
-        return [
-            r.key.replace("_", " "),
-            r.effect.kind,
-            "",
-            "",
-            "",
-            "",
-            f"no fit: {r.candidate.failure}",
-        ]
-    remarks = [r.reason] if r.reason else []
-    if not r.candidate.thorough:
+    name, kind, candidate = words.plain(r.key), r.effect.kind, r.candidate
+    if candidate.failure:
+        return [name, kind, "", "", "", "", f"no fit: {candidate.failure}"]
+    remark = r.objection if r.refusal == "objection" else words.REFUSALS[r.refusal]
+    remarks = [remark] if remark else []
+    if not candidate.thorough:
         remarks.append("fell behind after a glance")
-    own = [n for n in r.candidate.at_bound if n.startswith(f"{r.key}.")]
+    own = [n for n in candidate.at_bound if n.startswith(f"{r.key}.")]
     if own and r.evidence > 0:
-        remarks.append(f"at a bound: {', '.join(n.split('.')[1].replace('_', ' ') for n in own)}")
+        remarks.append(f"at a bound: {', '.join(words.plain(n.split('.')[1]) for n in own)}")
+    units = {n: p.unit for n, p in candidate.model.parameters.items()}
     return [
-        r.key.replace("_", " "),
-        r.effect.kind,
+        name,
+        kind,
         f"{r.evidence:.1f}",
-        error_text(r.candidate.fitted.error),
-        error_text(r.candidate.held_out.error) if r.candidate.held_out.by_trial else "",
-        ", ".join(r.values_in_words()),
+        error_text(candidate.fitted.error),
+        error_text(candidate.held_out.error) if candidate.held_out.by_trial else "",
+        words.values_in_words(r.own_values, units),
         "; ".join(remarks),
     ]
 
@@ -290,7 +358,9 @@ def _rung(name: str, fitted: float | None, held_out: float | None) -> list[str]:
     return [name, _number(fitted), _number(held_out), *vaf]
 
 
-def _values_table(page: Page, values: Any, parameters: Any) -> None:
+def _values_table(
+    page: Page, values: Mapping[str, float], parameters: Mapping[str, Parameter]
+) -> None:
     page.table(
         ["parameter", "value", "unit"],
         [[n, f"{v:.4g}", parameters[n].unit] for n, v in values.items()],
@@ -298,7 +368,7 @@ def _values_table(page: Page, values: Any, parameters: Any) -> None:
     )
 
 
-def _widths_table(page: Page, found: Any) -> None:
+def _widths_table(page: Page, found: Widths) -> None:
     rows = [
         [
             row.name.replace("_", " ").replace(".", ": "),

@@ -11,7 +11,7 @@ import numpy as np
 import scipy.stats
 import xarray as xr
 
-from identifiability.inference.sampling import ESS_LIMIT, RHAT_LIMIT
+from identifiability.inference.convergence import ESS_LIMIT, RHAT_LIMIT
 from identifiability.inference.widths import (
     END_TOLERANCE,
     HEAVY_TAIL,

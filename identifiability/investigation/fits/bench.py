@@ -13,8 +13,9 @@ from identifiability.inference.fitting import Fit, at_bounds, explore
 from identifiability.inference.problem import Observation, Prior, Problem
 from identifiability.investigation.fits.candidate import NOTHING, Candidate, Residual
 from identifiability.investigation.rules import Rules
-from identifiability.investigation.split import Ready, Split
+from identifiability.investigation.split import Split
 from identifiability.joint.model import Model
+from identifiability.measurement.prepared import Prepared
 
 GLANCE, THOROUGH = 10, 60
 """Evaluations from each start: to see whether a candidate is worth more, and to finish it."""
@@ -45,14 +46,14 @@ class Workbench:
         return self.split.rules
 
     def problem(
-        self, model: Model, part: Sequence[Ready], *, refined: Sequence[str] = ()
+        self, model: Model, part: Sequence[Prepared], *, refined: Sequence[str] = ()
     ) -> Problem:
         """Problem of fitting a model to a part of the evidence.
 
         Parameters
         ----------
         model : Model
-        part : sequence of Ready
+        part : sequence of Prepared
         refined : sequence of str
             Keys of the effects whose refining parameters are free too.
         """
@@ -79,7 +80,7 @@ class Workbench:
         self,
         model: Model,
         values: Mapping[str, float],
-        part: Sequence[Ready],
+        part: Sequence[Prepared],
         refined: Sequence[str] = (),
     ) -> Residual:
         """What a model with given values leaves of a part of the evidence."""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from identifiability.inference.recordings import integrated_autocorrelation
 from identifiability.investigation.fits.candidate import Residual
+from identifiability.measurement.noise import correlation_time
 
 
 def effective_samples(rest: Residual, change: Residual | None = None) -> float:
@@ -26,7 +26,7 @@ def effective_samples(rest: Residual, change: Residual | None = None) -> float:
         samples count by the residual's integrated autocorrelation time.
     """
     if change is None:
-        return float(sum(r.size / integrated_autocorrelation(r) for r in rest.by_trial))
+        return float(sum(r.size / correlation_time(r - r.mean()) for r in rest.by_trial))
     seen, white = 0.0, 0.0
     for left, moved in zip(rest.by_trial, change.by_trial, strict=True):
         n = left.size

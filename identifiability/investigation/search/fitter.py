@@ -8,9 +8,9 @@ from functools import cached_property
 
 import numpy as np
 
+from identifiability.inference.starts import starting_values
 from identifiability.investigation.fits.bench import Workbench
 from identifiability.investigation.fits.candidate import Candidate
-from identifiability.investigation.fits.starts import starting_values
 from identifiability.joint.model import Model
 
 Fits = dict[tuple[tuple[str, ...], tuple[str, ...]], Candidate]
@@ -115,17 +115,6 @@ class Fitter:
         split = self.bench.split
         everything = (*split.fitted, *split.held_out)
         return replace(self.bench, split=replace(split, fitted=everything, held_out=()))
-
-
-def baseline(
-    bench: Workbench, model: Model, guess: dict[str, float], *, refined: Sequence[str] = ()
-) -> Candidate:
-    """Fit of the model that the investigation starts from."""
-    starts = []
-    for factor in (1.0, 0.3, 3.0):
-        start = guess | {"K": factor * guess["K"], "B": guess["B"] / factor}
-        starts += starting_values(model, start, most=3 if model.effects else 1)
-    return bench.fit(model, starts, refined=refined)
 
 
 def refinable(candidate: Candidate, key: str) -> bool:

@@ -8,11 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from identifiability.errors import InputError
+from identifiability.inference.starts import starting_values
 from identifiability.investigation.fits.bench import Workbench
 from identifiability.investigation.fits.candidate import Candidate
 from identifiability.investigation.fits.independent import effective_samples
-from identifiability.investigation.fits.starts import starting_values
-from identifiability.investigation.search.gate import DECISIVE
 from identifiability.joint.effects.base import Effect
 from identifiability.joint.model import Model
 
@@ -104,7 +103,7 @@ def _smallest(
     p = model.parameters[measure]
     problem = bench.problem(model, bench.split.fitted)
     penalty = sum(q.plain is None for n, q in model.parameters.items() if n.startswith(f"{key}."))
-    needed = DECISIVE + penalty * np.log(samples)
+    needed = bench.rules.decisive + penalty * np.log(samples)
 
     def seen(size: float) -> bool:
         values = shape | dict.fromkeys(sizes[1:], 0.0) | {measure: size}

@@ -14,13 +14,14 @@ kind is therefore tried together with it, and with a second kind; the largest pa
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from identifiability.investigation.fits.bench import Workbench
 from identifiability.investigation.fits.candidate import Candidate
+from identifiability.investigation.rules import Rules
 from identifiability.investigation.unexplained.explanation import (
     REMAINDER,
     Explainer,
@@ -39,25 +40,8 @@ from identifiability.investigation.unexplained.readouts import (
 )
 from identifiability.investigation.unexplained.traces import Response, bin_width, binned
 
-DECISIVE = 5.0
-"""Difference of log evidence, in nats, that decides between kinds: odds of 150 to 1 where both were
-as likely before ("very strong", Kass & Raftery 1995, J Am Stat Assoc 90: 773-795)."""
-
-KINDS = {
-    "none": "noise",
-    "drift": "a drift of the recording",
-    "sensor": "a filter or delay in the recording",
-    "static": "a torque of the present angle and velocity",
-    "hysteresis": "a torque like dry friction",
-    "memory": "a torque of the past motion",
-    "unrepeatable": "a torque that differs from trial to trial",
-}
-"""Kinds of what may be missing, in words."""
-
-_MOST = 0.8  # share of the misfit beyond the noise that counts as most of it: a convention
 _LEAST_QUIET = 8  # bins that a level of the noise may be read from
-_MOST_PAIRS = 3
-_CLEAR, _FELT = 0.1, 0.01  # share of the margin, and s, from which a latency is spoken of
+_MOST_PAIRS = 3  # of a repeatable family and a second one that are tried
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,6 +65,8 @@ class Unexplained:
         root mean square over trials; ``None`` without quiet samples.
     memory_kernel, delay_readout, static_map : optional
         Where the best family has such a part.
+    rules : Rules
+        What it was judged by.
     """
 
     families: tuple[Family, ...]
@@ -91,6 +77,7 @@ class Unexplained:
     memory_kernel: MemoryKernel | None = None
     delay_readout: DelayReadout | None = None
     static_map: StaticMap | None = None
+    rules: Rules = field(default_factory=Rules)
 
     @property
     def best(self) -> Family:
@@ -103,19 +90,28 @@ class Unexplained:
         return _rival(self.families)
 
     @property
-    def decided(self) -> bool:
-        """Whether the best family wins over every other kind by `DECISIVE` nats."""
-        return self.margin >= DECISIVE
+    def decisive(self) -> float:
+        """Margin [nats] from which the best family wins over every other kind."""
+        return self.rules.decisive_kind
 
     @property
-    def sentence(self) -> str:
-        """The finding, in words."""
-        if not self.decided:
-            return (
-                f"What is left could be {KINDS[self.best.kind]} or {KINDS[self.rival.kind]}: "
-                "these data do not tell them apart."
-            )
-        return _sentence(self)
+    def decided(self) -> bool:
+        """Whether the best family wins over every other kind."""
+        return self.margin >= self.decisive
+
+    @property
+    def noise_suffices(self) -> bool:
+        """Whether the best family needs no more noise than the quiet samples have, if any."""
+        return self.noise_ratio is None or self.noise_ratio <= self.rules.enough_noise
+
+    @property
+    def latency(self) -> float | None:
+        """Latency [s] of the torque, where the past motion makes it and the latency is clear."""
+        readout, rules = self.delay_readout, self.rules
+        if self.best.kind != "memory" or readout is None:
+            return None
+        clear = readout.nats >= self.decisive + rules.clear_latency * self.margin
+        return readout.delay if clear and readout.delay >= rules.least_latency else None
 
 
 def unexplained(bench: Workbench, candidate: Candidate, *, seed: int = 1) -> Unexplained:
@@ -136,11 +132,11 @@ def unexplained(bench: Workbench, candidate: Candidate, *, seed: int = 1) -> Une
     # Many small matrices: threads would cost more than they bring.
     with threadpool_limits(1):
         explains, response = explainer(bench, candidate)
-        found = _explanations(explains)
-        return _conclude(explains, response, found, seed)
+        found = _explanations(explains, bench.rules)
+        return _conclude(explains, response, found, bench.rules, seed)
 
 
-def _explanations(explains: Explainer) -> list[Explanation]:
+def _explanations(explains: Explainer, rules: Rules) -> list[Explanation]:
     """All explanations, best first; of each family the best, alone or with a remainder."""
     terms = explains.terms
     rest = terms[REMAINDER]
@@ -155,7 +151,7 @@ def _explanations(explains: Explainer) -> list[Explanation]:
         return sorted(found.values(), key=lambda e: -e.log_evidence)
     level = found[REMAINDER].log_evidence
     best = dict(found)
-    if level > found["none"].log_evidence + DECISIVE:
+    if level > found["none"].log_evidence + rules.decisive_kind:
         for key, t in terms.items():
             if t.kind == "drift" or t is rest or key not in found:
                 continue
@@ -166,10 +162,10 @@ def _explanations(explains: Explainer) -> list[Explanation]:
                 best[key] = both
         for pair in _pairs(explains, best):
             best[pair.key] = pair
-    return _preferred(sorted(best.values(), key=lambda e: -e.log_evidence))
+    return _preferred(sorted(best.values(), key=lambda e: -e.log_evidence), rules.kind_share)
 
 
-def _preferred(found: list[Explanation]) -> list[Explanation]:
+def _preferred(found: list[Explanation], kind_share: float) -> list[Explanation]:
     """Best first: one function of the motion for all trials before what differs by trial.
 
     Stiffness or torque that is free in every trial can follow anything smooth, so it is believed
@@ -178,7 +174,7 @@ def _preferred(found: list[Explanation]) -> list[Explanation]:
     if found[0].kind != "unrepeatable":
         return found
     for e in found:
-        if e.kind not in ("none", "drift", "unrepeatable") and e.explained > _MOST:
+        if e.kind not in ("none", "drift", "unrepeatable") and e.explained > kind_share:
             return [e, *(other for other in found if other is not e)]
     return found
 
@@ -202,6 +198,7 @@ def _conclude(
     explains: Explainer,
     response: Response,
     found: Sequence[Explanation],
+    rules: Rules,
     seed: int,
 ) -> Unexplained:
     noise_alone = next(e for e in found if not e.terms).log_evidence
@@ -227,6 +224,7 @@ def _conclude(
         kernel,
         readout,
         static,
+        rules,
     )
 
 
@@ -247,44 +245,3 @@ def _noise_ratio(explains: Explainer, found: Explanation) -> float | None:
         return None
     before = np.array([np.mean(q**2) for q in quiet])
     return float(np.sqrt(np.sum(found.noise.sds**2) / np.sum(before)))
-
-
-def _sentence(result: Unexplained) -> str:
-    best = result.best
-    if best.kind == "none":
-        words = "What is left is noise: nothing in it depends on the motion or repeats."
-        if result.noise_ratio is not None and result.noise_ratio > 1.5:
-            words = (
-                "What is left looks like noise, but of "
-                f"{result.noise_ratio:.1f} times the size it has before the perturbation."
-            )
-        return words
-    readout = result.delay_readout
-    lead = {
-        "drift": "is a slow drift of the recording",
-        "sensor": "looks as if the recording were filtered or delayed",
-        "static": "behaves like a torque that depends on the present angle and velocity",
-        "hysteresis": (
-            "behaves like dry friction or a yielding element: a torque that depends on how far the "
-            "joint has moved since it turned back"
-        ),
-        "memory": "behaves like a torque that depends on the past motion",
-        "unrepeatable": (
-            "is a torque that differs from trial to trial: no one function of the motion makes it"
-        ),
-    }[best.kind]
-    main = max(best.shares, key=lambda key: best.shares[key])
-    if main in ("variation", "varying"):
-        when = "from trial to trial" if main == "variation" else "during the trials"
-        lead = f"behaves like stiffness and damping that change {when}"
-    if best.kind == "memory" and readout is not None:
-        if readout.nats >= DECISIVE + _CLEAR * result.margin and readout.delay >= _FELT:
-            lead += f", with a latency of about {1000 * readout.delay:.0f} ms"
-        else:
-            lead += f", and fades with a time constant of about {1000 * readout.decay:.0f} ms"
-    if main in ("memory_positive", "memory_negative"):
-        lead += f", and to motion in the {main.removeprefix('memory_')} direction only"
-    words = f"What is left {lead}"
-    if best.kind != "unrepeatable":
-        words += f"; that explains {100 * result.share:.0f} % of it beyond the noise"
-    return words + "."

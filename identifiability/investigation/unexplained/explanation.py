@@ -60,7 +60,8 @@ class Family:
         Keys of its terms joined by "+"; a remainder of its own in each trial is not named.
     name : str
     kind : str
-        Of `KINDS`: that of the part with the largest share.
+        "none", "drift", "sensor", "static", "hysteresis", "memory" or "unrepeatable": that of the
+        part with the largest share.
     log_evidence : float
         In nats, against noise alone, less half the logarithm of the number of samples for each
         hyperparameter.

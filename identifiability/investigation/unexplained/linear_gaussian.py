@@ -1,4 +1,4 @@
-"""Split of linear Gaussian models of several trials, from inner products alone.
+"""Evidence of linear Gaussian models of several trials, from inner products alone.
 
 A trial's residual is ``r = A u + D c + e``: local weights u that belong to this trial, common
 weights c that all trials share, both Gaussian around 0, and noise e, first-order autoregressive.

@@ -69,7 +69,7 @@ class DelayReadout:
     decay, decay_sd : float
         Time constant of the low-pass [s], and its standard deviation.
     nats : float
-        Split for a latency above 0.
+        Evidence for a latency above 0.
     """
 
     delay: float

@@ -20,11 +20,11 @@ from scipy.signal import fftconvolve
 from identifiability.inference.problem import Problem
 from identifiability.investigation.fits.bench import Workbench
 from identifiability.investigation.fits.candidate import Candidate
-from identifiability.investigation.split import Ready
 from identifiability.investigation.unexplained.linear_gaussian import Columns
 from identifiability.joint.model import KBI, Model
 from identifiability.joint.response import simulate
 from identifiability.measurement.perturbations import SampledTorque
+from identifiability.measurement.prepared import Prepared
 
 _MOST_SAMPLES = 5000  # of all trials; more are averaged in bins
 _FILTERED_SPACING = 0.01  # s; samples behind a low-pass of 50 Hz are independent at this spacing
@@ -36,7 +36,7 @@ class Trace:
 
     Attributes
     ----------
-    ready : Ready
+    ready : Prepared
     interval : float
         Sampling interval [s].
     imposed : array, shape (n,)
@@ -51,7 +51,7 @@ class Trace:
         Rate of the response: velocity [rad/s], or change of torque [Nm/s].
     """
 
-    ready: Ready
+    ready: Prepared
     interval: float
     imposed: np.ndarray
     residual: np.ndarray

@@ -1,45 +1,36 @@
-"""What the evidence allows to say, and no more."""
+"""What the findings allow to say, and no more."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
 from identifiability.investigation.fits.candidate import Candidate
 from identifiability.investigation.fits.independent import effective_samples
-from identifiability.investigation.search.equivalence import comes_near, equivalence_set, same_form
-from identifiability.investigation.search.gate import (
-    DECISIVE,
-    DISAGREE,
-    FORM,
-    ONLY_MENDS,
-    TOO_LITTLE,
-    Ranked,
-    does_as_well,
-)
-from identifiability.investigation.search.search import Search
+from identifiability.investigation.search.equivalence import same_form
+from identifiability.investigation.search.found import Found, Missing
+from identifiability.investigation.search.gate import Ranked
 from identifiability.investigation.search.smallest_seen import Detectable
 from identifiability.investigation.split import Split
 from identifiability.investigation.unexplained.account import Unexplained
-from identifiability.joint.effects.base import Effect
+from identifiability.investigation.verdict.reasons import Reason
+from identifiability.joint.effects import Effect
 
-EXPLAINED_SHARE = 0.8
-"""Share of the held-out misfit beyond the noise that named effects must remove to be called the
-explanation: a convention. Equations are never exact, so the floor itself is not asked for."""
-LINEAR_SHARE = 0.95
-"""The same where all of them are linear effects of the joint: a linear relation has a scale and a
-pace, but no shape that differs from muscle to muscle. Right to a fifth, it leaves 4 %."""
-NAMED_SHARE = 0.5
-"""The same where the noise is unknown, and with it the misfit beyond the noise; and the share from
-which an effect that does not explain all is named at all."""
-_TRACE = 0.01  # share of what is left, below which an account of it explains nothing
-_UNMOVED = 0.05  # change of the logarithm of a held-out error that says nothing either way
 _NONE = 1e-6  # share of its usual value that is no stiffness or damping at all
-_ENOUGH_NOISE = 1.5  # times the quiet samples' noise, beyond which an explanation is not complete
 
-KINDS = (
+Kind = Literal[
+    "explained",
+    "one_of",
+    "unknown_static",
+    "unknown_memory",
+    "measurement",
+    "unrepeatable",
+    "nothing_missing",
+]
+KINDS: tuple[Kind, ...] = (
     "explained",
     "one_of",
     "unknown_static",
@@ -52,6 +43,16 @@ KINDS = (
 # Effects of the measurement that a library-free kind speaks for, where none of them fits.
 _SENSORS = {"drift": ("sensor_drift",), "sensor": ("sensor_delay", "sensor_lowpass")}
 
+_UNKNOWN: dict[str, Kind] = {
+    "static": "unknown_static",
+    "hysteresis": "unknown_memory",
+    "memory": "unknown_memory",
+    "sensor": "measurement",
+    "drift": "measurement",
+    "unrepeatable": "unrepeatable",
+    "none": "unrepeatable",
+}
+
 
 @dataclass(frozen=True)
 class Verdict:
@@ -61,31 +62,30 @@ class Verdict:
     ----------
     kind : str
         One of `KINDS`.
-    effects : tuple of str
-        Best name for each missing effect; empty where none is known.
-    equivalence_sets : tuple of tuple of str
-        For each missing effect all that could be it.
-    sentence : str
-    because : tuple of str
-        The evidence, a sentence each.
+    sets : tuple of tuple of str
+        For each missing effect all that could be it, best name first; empty where none is named.
+    reasons : tuple of Reason
     share : float or None
-        Share of the held-out misfit beyond the noise that the named effects remove.
+        Share of the held-out misfit beyond the noise that the effects that were found remove.
     smallest_seen : tuple of Detectable
         Where nothing is missing, the smallest effects that would have been seen.
     """
 
-    kind: str
-    effects: tuple[str, ...]
-    equivalence_sets: tuple[tuple[str, ...], ...]
-    sentence: str
-    because: tuple[str, ...] = ()
+    kind: Kind
+    sets: tuple[tuple[str, ...], ...]
+    reasons: tuple[Reason, ...] = ()
     share: float | None = None
-    smallest_seen: tuple[Detectable, ...] = field(default=())
+    smallest_seen: tuple[Detectable, ...] = ()
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        """Best name for each missing effect."""
+        return tuple(names[0] for names in self.sets)
 
 
 def judge(
     split: Split,
-    search: Search,
+    found: Found,
     rest: Unexplained,
     smallest_seen: Sequence[Detectable],
     library: Mapping[str, type[Effect]],
@@ -95,327 +95,182 @@ def judge(
     Parameters
     ----------
     split : Split
-    search : Search
+    found : Found
     rest : Unexplained
         Library-free account of what the final model leaves.
     smallest_seen : sequence of Detectable
         Smallest effects that would have been seen beside the final model.
     library : mapping of str to type of Effect
     """
-    baseline, final = search.baseline, search.final
-    sets = tuple(tuple(equivalence_set(key, search, library)) for key in search.alternatives)
-    names = tuple(s[0] for s in sets)
-    share = _share(split, baseline, final)
-    because = [_errors(split, baseline, final), *_one_by_one(split, search)]
-    quiet = _quiet(split, final, rest)
-    because += [*_reasons(split, search, sets, library), *_clue(search), *_at_bound(final)]
-    if search.description is not None:
-        return _described(search.description, search, share, because)
-    if not names:
-        return _nothing_named(rest, quiet, because, smallest_seen)
-    measured = all(library[k].place == "sensor" for s in sets for k in s)
-    enough = EXPLAINED_SHARE if split.has_noise else NAMED_SHARE
-    if split.has_noise and final.model.linear and not measured:
-        enough = LINEAR_SHARE
-    if not quiet and share is not None and share < enough:
-        return _partly(rest, names, sets, share, because, library)
+    reasons = [_errors(split, found), *_in_turn(found)]
+    for missing in found.missing:
+        reasons += _about(missing, found, split, library)
+    reasons += [*_clue(found, split), *_at_bound(found.final)]
+    quiet = _quiet(split, found.final, rest)
+    if found.description is not None:
+        reasons.append(_described(found, found.description))
+        return Verdict("unknown_memory", (), tuple(reasons), found.share)
+    if not found.missing:
+        return _nothing_named(split, rest, quiet, reasons, smallest_seen)
+    sets = tuple(m.could_be for m in found.missing)
+    measured = all(library[k].place == "sensor" for names in sets for k in names)
+    if not quiet and not _enough(split, found, measured):
+        reasons.append(Reason("only a part"))
+        named = found.share is not None and found.share >= split.rules.named_share
+        return Verdict(_unknown(split, rest), sets if named else (), tuple(reasons), found.share)
     if not quiet:
-        because.append(
-            f"The equations are not exact: {rest.sentence}"
-            if rest.share > _TRACE
-            else "The equations are not exact, and what they leave is of no form known here."
-        )
+        reasons.append(Reason("equations not exact"))
+    kind: Kind = "one_of"
     if measured:
-        words = _list([library[k].title for k in names])
-        sentence = f"It is the measurement, not the joint: {words}."
-        return Verdict("measurement", names, sets, sentence, tuple(because), share)
-    if all(same_form(s, library) for s in sets):
-        sentence = f"The model misses {_list([_with_equals(s, library) for s in sets])}."
-        return Verdict("explained", names, sets, sentence, tuple(because), share)
-    sentence = f"The model misses {_list([_either(s, library) for s in sets])}."
-    if any(library[k].place == "sensor" for s in sets for k in s):
-        sentence += (
-            " Joint and instruments cannot be told apart here: record a known inertia alone; what"
-            " then remains is the instruments."
-        )
-    return Verdict("one_of", names, sets, sentence, tuple(because), share)
+        kind = "measurement"
+    elif all(same_form(names, library) for names in sets):
+        kind = "explained"
+    return Verdict(kind, sets, tuple(reasons), found.share)
 
 
 def _nothing_named(
+    split: Split,
     rest: Unexplained,
     quiet: bool,
-    because: list[str],
+    reasons: list[Reason],
     smallest_seen: Sequence[Detectable],
 ) -> Verdict:
     if quiet:
-        seen = sorted(smallest_seen, key=lambda d: d.key)
-        sentence = "Nothing is missing that these data could show: the model leaves only noise."
-        because.append(
-            "Smallest effects that would have been seen: "
-            + "; ".join(f"{d.key.replace('_', ' ')}: {d.sentence}" for d in seen)
-            + "."
-        )
-        return Verdict("nothing_missing", (), (), sentence, tuple(because), None, tuple(seen))
-    because.append(rest.sentence)
-    kind = _unknown_kind(rest)
+        seen = tuple(sorted(smallest_seen, key=lambda d: d.key))
+        return Verdict("nothing_missing", (), tuple(reasons), None, seen)
+    kind = _unknown(split, rest)
     if kind == "measurement":
         alike = _SENSORS[rest.best.kind]
-        known = _list([_plain(k) for k in alike])
-        because.append(f"Its form is not that of {known} as known here.")
-        sentence = f"It is the measurement, not the joint. {rest.sentence}"
-        return Verdict(kind, alike[:1], (alike,), sentence, tuple(because))
-    sentence = f"Something is missing, and it is none of the effects known here. {rest.sentence}"
-    return Verdict(kind, (), (), sentence, tuple(because))
+        reasons.append(Reason("form of no sensor", alike))
+        return Verdict(kind, (alike,), tuple(reasons))
+    return Verdict(kind, (), tuple(reasons))
 
 
-def _partly(
-    rest: Unexplained,
-    names: tuple[str, ...],
-    sets: tuple[tuple[str, ...], ...],
-    share: float,
-    because: list[str],
-    library: Mapping[str, type[Effect]],
-) -> Verdict:
-    because.append(rest.sentence)
-    sentence = (
-        f"None of the effects known here explains the misfit: the best, "
-        f"{_list([library[k].title for k in names])}, removes {100 * share:.0f} % of it on trials "
-        f"that were not fitted. {rest.sentence}"
-    )
-    because.append(
-        "Named effects that remove only a part may stand for something else: treat them as a clue."
-    )
-    if share < NAMED_SHARE:
-        names, sets = (), ()
-    return Verdict(_unknown_kind(rest), names, sets, sentence, tuple(because), share)
-
-
-def _described(
-    description: Ranked, search: Search, share: float | None, because: list[str]
-) -> Verdict:
-    """Verdict where a description stands for effects that were found."""
-    rival = description.candidate
-    replaced = search.replaced_by(description)
-    beside = [_plain(key) for key in search.alternatives if key not in replaced]
-    instead_of = _list([_plain(key) for key in replaced])
-    held = f" and {rival.held_out.error:.3g} on those held out" if rival.held_out.by_trial else ""
-    because.append(
-        f"With {_plain(description.key)} in the place of {instead_of}, E is "
-        f"{rival.fitted.error:.3g} on the fitted trials{held}."
-    )
-    does = "better than" if description.evidence > DECISIVE else "as well as"
-    sentence = (
-        "Something with memory is missing, and it need be none of the effects known here: "
-        f"{description.effect.title} does {does} {instead_of}."
-    )
-    if beside:
-        sentence += f" Beside it the model misses {_list(beside)}."
-    return Verdict("unknown_memory", (), (), sentence, tuple(because), share)
-
-
-def _unknown_kind(rest: Unexplained) -> str:
-    """Kind of verdict where no effect that is known explains the misfit."""
-    kind = rest.best.kind
-    if kind in ("sensor", "drift") and (rest.noise_ratio or 1.0) > _ENOUGH_NOISE:
-        # A filter of the recording leaves only noise; one that leaves more stands for something.
-        kind = next((f.kind for f in rest.families if f.kind not in ("sensor", "drift")), kind)
-    return {
-        "static": "unknown_static",
-        "hysteresis": "unknown_memory",
-        "memory": "unknown_memory",
-        "sensor": "measurement",
-        "drift": "measurement",
-        "unrepeatable": "unrepeatable",
-        "none": "unrepeatable",
-    }[kind]
-
-
-def _share(split: Split, baseline: Candidate, final: Candidate) -> float | None:
-    """Share of the misfit beyond the noise that is gone, on held-out trials where there are any."""
-    held = bool(split.held_out)
-    before, after = ((c.held_out if held else c.fitted).error for c in (baseline, final))
-    floor = split.noise_floor(split.held_out if held else split.fitted) or 0.0
-    if before <= floor:
-        return None
-    return float((before - max(after, floor)) / (before - floor))
+def _enough(split: Split, found: Found, measured: bool) -> bool:
+    """Whether the effects remove enough of the misfit to be called the explanation."""
+    rules, enough = split.rules, split.rules.named_share
+    if split.has_noise:
+        linear = found.final.model.linear and not measured
+        enough = rules.linear_share if linear else rules.explained_share
+    return found.share is None or found.share >= enough
 
 
 def _quiet(split: Split, final: Candidate, rest: Unexplained) -> bool:
     """Whether the model leaves nothing that a library-free torque could explain."""
     floor = split.noise_floor()
     if floor is not None:
-        slack = 1 + max(
-            3 * split.floor_uncertainty(), 3 * np.sqrt(2 / effective_samples(final.fitted))
-        )
-        if final.fitted.error <= floor * slack and rest.share < 0.1:
+        chance = np.sqrt(2 / effective_samples(final.fitted))
+        slack = 1 + 3 * max(split.floor_uncertainty(), chance)
+        if final.fitted.error <= floor * slack and rest.share < split.rules.quiet_share:
             return True
     return rest.best.kind == "none"
 
 
-def _errors(split: Split, baseline: Candidate, final: Candidate) -> str:
+def _unknown(split: Split, rest: Unexplained) -> Kind:
+    """Kind of verdict where no effect that is known explains the misfit."""
+    kind = rest.best.kind
+    if kind in ("sensor", "drift") and (rest.noise_ratio or 1.0) > split.rules.enough_noise:
+        # A filter of the recording leaves only noise; one that leaves more stands for something.
+        kind = next((f.kind for f in rest.families if f.kind not in ("sensor", "drift")), kind)
+    return _UNKNOWN[kind]
+
+
+def _errors(split: Split, found: Found) -> Reason:
+    numbers = {"before": found.baseline.fitted.error, "after": found.final.fitted.error}
+    if found.baseline.held_out.by_trial:
+        numbers["held_out_before"] = found.baseline.held_out.error
+        numbers["held_out_after"] = found.final.held_out.error
     floor = split.noise_floor()
-    noise = f"; the noise alone leaves {floor:.2g}" if floor is not None else ""
-    if final is baseline or not final.keys:
-        return (
-            f"The model's error E is {baseline.fitted.error:.3g} on the fitted and "
-            f"{baseline.held_out.error:.3g} on the held-out trials{noise}."
-        )
-    return (
-        f"E falls from {baseline.fitted.error:.3g} to {final.fitted.error:.3g} on the fitted "
-        f"trials and from {baseline.held_out.error:.3g} to {final.held_out.error:.3g} on those "
-        f"held out{noise}."
-    )
+    if floor is not None:
+        numbers["floor"] = floor
+    return Reason("errors", (), numbers)
 
 
-def _one_by_one(split: Split, search: Search) -> list[str]:
+def _in_turn(found: Found) -> list[Reason]:
     """What each of several effects removes, in the order of the error ladder."""
-    if len(search.ladder) < 2:
+    shares = {m.key: m.share for m in found.missing if m.share is not None}
+    if len(found.missing) < 2 or len(shares) < len(found.missing):
         return []
-    rungs = [(key, _share(split, search.baseline, model)) for key, model in search.ladder]
-    removed, said = 0.0, []
-    for key, share in rungs:
-        if share is None:
-            return []
-        said.append(f"{_plain(key)} {100 * (share - removed):.1f} %")
-        removed = share
-    trials = "held-out" if split.held_out else "fitted"
-    noise = " beyond the noise" if split.has_noise else ""
-    return [
-        f"Of the misfit of the {trials} trials{noise}, each removes in turn: {'; '.join(said)}."
-    ]
+    return [Reason("removes in turn", tuple(shares), shares)]
 
 
-def _reasons(
-    split: Split,
-    search: Search,
-    sets: Sequence[Sequence[str]],
-    library: Mapping[str, type[Effect]],
-) -> list[str]:
+def _about(
+    missing: Missing, found: Found, split: Split, library: Mapping[str, type[Effect]]
+) -> list[Reason]:
+    """Why an effect is named, and others are or are not named with it."""
+    name, decisive = missing.name, split.rules.decisive
     out = []
-    for chosen, members in zip(search.alternatives, sets, strict=True):
-        rivals = [
+    rivals = sorted(
+        (
             r
-            for r in search.alternatives[chosen]
-            if r.key not in members and np.isfinite(r.evidence) and not r.caveat
-        ]
-        rivals.sort(key=lambda r: -r.evidence)
-        if (
-            rivals
-            and rivals[0].evidence > -DECISIVE
-            and members[0] in library[rivals[0].key].refines
-        ):
-            richer = rivals.pop(0)
-            out.append(
-                f"A {_plain(richer.key)}, a richer form of the {_plain(members[0])}, does no "
-                "better: the data do not ask for it."
-            )
-        if rivals:
-            out.append(
-                f"In the place of {_plain(members[0])} the next best is {_plain(rivals[0].key)}, "
-                f"worse by {-rivals[0].evidence:.0f} (more than {DECISIVE:.0f} is decisive)."
-            )
-        out += [
-            f"With {_plain(r.key)} in the place of {_plain(members[0])}, {r.caveat}."
-            for r in search.alternatives[chosen]
-            if r.caveat and r.evidence > -DECISIVE
-        ]
-        own = search.final.model.effect(chosen)
-        if split.driven == "torque" and (doubt := own.doubt(search.final.values)):
-            out.append(f"Of the {_plain(chosen)}, {doubt}: it may stand for something quicker.")
-        alike = [r for r in search.alternatives[chosen] if r.key in members]
-        better = [r for r in alike if r.evidence > DECISIVE]
-        if better and not split.has_noise:
-            out.append(
-                f"With more parameters, {_plain(better[0].key)} leaves less still, but what the "
-                f"{_plain(members[0])} leaves may be error of measurement."
-            )
-        same = [k for k in members[1:] if k in library[members[0]].equivalent]
-        if same:
-            out.append(
-                f"{_plain(members[0]).capitalize()} and {_plain(same[0])} are of one form: torque "
-                "and angle can never tell them apart."
-            )
-        later = [
-            _plain(r.key) for r in alike if r.refitted is not None and does_as_well(r, search.final)
-        ]
-        if later:
-            out.append(
-                f"With {' or '.join(later)} in the place of {_plain(members[0])} the held-out "
-                "trials are predicted worse, but fitted as well when all trials are: such a "
-                "prediction rests on parameters that the other trials leave open."
-            )
-        near = [
-            r.key
-            for r in alike
-            if comes_near(chosen, r, search) and abs(r.evidence) > DECISIVE and r.key not in same
-        ]
-        if near and split.has_noise:
-            out.append(
-                f"In the place of {_plain(members[0])} there may be "
-                f"{_list([_plain(k) for k in near])}: what is left is the same but for "
-                f"{100 * FORM:.0f} % of what it removes, and equations that are right to a tenth "
-                "do not tell them apart."
-            )
+            for r in missing.rivals
+            if r.key not in missing.could_be and np.isfinite(r.evidence) and not r.caveat
+        ),
+        key=lambda r: -r.evidence,
+    )
+    if rivals and rivals[0].evidence > -decisive and name in library[rivals[0].key].refines:
+        out.append(Reason("richer form not needed", (rivals.pop(0).key, name)))
+    if rivals:
+        worse = {"evidence": -rivals[0].evidence}
+        out.append(Reason("next best", (rivals[0].key, name), worse))
+    out += [_caveat(r, name) for r in missing.rivals if r.caveat and r.evidence > -decisive]
+    if split.driven == "torque" and (doubt := missing.effect.doubt(found.final.values)):
+        out.append(Reason("doubt", (missing.key,), {}, doubt))
+    better = [r.key for r in missing.equals if r.evidence > decisive]
+    if better and not split.has_noise:
+        out.append(Reason("more parameters", (better[0], name)))
+    same = tuple(k for k in missing.could_be[1:] if k in library[name].equivalent)
+    if same:
+        out.append(Reason("same form", (name, *same)))
+    later = [r.key for r in missing.equals if r.refitted is not None and r.key not in missing.near]
+    if later:
+        out.append(Reason("only prediction worse", (name, *later)))
+    near = [
+        r.key
+        for r in missing.equals
+        if r.key in missing.near and abs(r.evidence) > decisive and r.key not in same
+    ]
+    if near and split.has_noise:
+        out.append(Reason("equations hide", (name, *near), {"form": split.rules.form}))
     return out
 
 
-def _clue(search: Search) -> list[str]:
+def _caveat(rival: Ranked, instead_of: str) -> Reason:
+    kind: Literal["objection", "doubt"] = "objection" if rival.objection else "doubt"
+    numbers = {"evidence": rival.evidence}
+    return Reason(kind, (rival.key, instead_of), numbers, rival.caveat)
+
+
+def _clue(found: Found, split: Split) -> list[Reason]:
     """What would lower the error a little more, and is not named."""
-    ranking = next((s.ranking for s in search.steps[-1:] if s.before is search.final), ())
-    for r in ranking:
-        lower = f"With {_plain(r.key)} too, E would fall to {r.candidate.fitted.error:.3g}"
-        if r.reason == ONLY_MENDS:
-            return [
-                f"{lower}; but equations that are right to a tenth leave as much, so that this is "
-                "at most a clue."
-            ]
-        values, held = ", ".join(r.values_in_words()), r.candidate.held_out
-        if r.reason == TOO_LITTLE:
-            there = f" and to {held.error:.3g} on the held-out trials" if held.by_trial else ""
-            return [
-                f"{lower}{there} ({values}); that is too little of what is left to be more than a "
-                "clue."
-            ]
-        if r.reason == DISAGREE and abs(r.held_out_gain) < _UNMOVED:
-            return [
-                f"{lower} ({values}); but the held-out trials are predicted neither better nor "
-                f"worse ({held.error:.3g}), so that this is at most a clue."
-            ]
-        if r.objection and r.reason == r.objection:
-            return [f"{lower}; but {r.objection}, so that it would stand for something else."]
+    last = found.rankings[-1] if found.rankings else None
+    if last is None or last.before is not found.final:
+        return []
+    for r in last.ranked:
+        unmoved = r.refusal == "disagrees" and abs(r.held_out_gain) < split.rules.unmoved
+        if unmoved or r.refusal in ("only mends", "too little", "objection"):
+            numbers = {"error": r.candidate.fitted.error, **r.own_values}
+            if r.candidate.held_out.by_trial:
+                numbers["held_out"] = r.candidate.held_out.error
+            why = r.objection if r.refusal == "objection" else r.refusal
+            return [Reason("clue", (r.key,), numbers, why)]
     return []
 
 
-def _at_bound(final: Candidate) -> list[str]:
+def _at_bound(final: Candidate) -> list[Reason]:
     """Which of K, B and I lies at a bound; that it may be none at all is no bound."""
-    out = []
-    for name in ("K", "B", "I"):
-        parameter, value = final.model.parameters[name], final.values[name]
-        if name in final.at_bound and value > _NONE * parameter.nominal:
-            out.append(
-                f"{name} lies at the edge of the values that it was allowed, {value:.3g} "
-                f"{parameter.unit}, and the rest bends to that: if others are possible, allow them "
-                f"with --bounds {name}=LOW:HIGH."
-            )
-    return out
+    return [
+        Reason("edge of bounds", (), {"value": final.values[name]}, name)
+        for name in ("K", "B", "I")
+        if name in final.at_bound
+        and final.values[name] > _NONE * final.model.parameters[name].nominal
+    ]
 
 
-def _plain(key: str) -> str:
-    return key.replace("_", " ")
-
-
-def _with_equals(members: Sequence[str], library: Mapping[str, type[Effect]]) -> str:
-    first = library[members[0]].title
-    others = [library[k].title for k in members[1:]]
-    return first + (f" (of the same form: {_list(others)})" if others else "")
-
-
-def _either(members: Sequence[str], library: Mapping[str, type[Effect]]) -> str:
-    titles = [library[k].title for k in members]
-    return titles[0] if len(titles) == 1 else f"one of: {', '.join(titles)}"
-
-
-def _list(words: Sequence[str]) -> str:
-    if len(words) < 2:
-        return "".join(words)
-    return ", ".join(words[:-1]) + " and " + words[-1]
+def _described(found: Found, description: Ranked) -> Reason:
+    replaced = [m.key for m in found.replaced_by(description)]
+    rival = description.candidate
+    numbers = {"error": rival.fitted.error, "evidence": description.evidence}
+    if rival.held_out.by_trial:
+        numbers["held_out"] = rival.held_out.error
+    return Reason("description", (description.key, *replaced), numbers)

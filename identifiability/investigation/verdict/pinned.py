@@ -2,15 +2,35 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Literal
+
 import numpy as np
 
 from identifiability.inference.widths import Width, Widths
-from identifiability.joint.parameters import with_unit
 
-LOOSE = 0.5
-"""Half the 95 % interval over the value from which a parameter counts as not pinned down: a
-convention, with which its value is known to a factor of three at best."""
 _NOTHING = 1e-3  # share of an upper end that is none
+
+
+@dataclass(frozen=True)
+class Loose:
+    """A parameter that the data leave open.
+
+    Attributes
+    ----------
+    name, unit : str
+    how : {"nothing", "below", "above", "both", "wide"}
+        It may be nothing at all, up to `high`; it is not bounded below, above or either way; its
+        interval is wide.
+    low, high : float
+        95 % interval.
+    """
+
+    name: str
+    unit: str
+    how: Literal["nothing", "below", "above", "both", "wide"]
+    low: float
+    high: float
 
 
 def interval(row: Width) -> tuple[float, float, str]:
@@ -23,33 +43,28 @@ def interval(row: Width) -> tuple[float, float, str]:
     return (*row.posterior_95, "posterior")
 
 
-def not_pinned_down(found: Widths) -> tuple[str, ...]:
-    """A sentence for each parameter that the data leave open.
+def not_pinned_down(found: Widths, loose: float) -> tuple[Loose, ...]:
+    """Parameters that the data leave open.
 
     Parameters
     ----------
     found : Widths
         Of the final model.
-
-    Returns
-    -------
-    tuple of str
+    loose : float
+        Half the interval over the value from which a parameter counts as not pinned down.
     """
     out = []
     for row in found.rows:
         low, high, _ = interval(row)
-        name = row.name.replace("_", " ")
-        upper = with_unit(f"{high:.3g}", row.unit)
+        below, above = (side == "open" for side in row.profile_sides)
+        how: Literal["nothing", "below", "above", "both", "wide"]
         if row.profile_sides == ("bound", "closed") and abs(row.optimum) < _NOTHING * high:
-            out.append(f"{name} is small, or nothing at all: at most {upper} (95 %).")
+            how = "nothing"
+        elif below or above:
+            how = "both" if below and above else "below" if below else "above"
+        elif np.isfinite(high - low) and 0.5 * (high - low) > loose * abs(row.optimum):
+            how = "wide"
+        else:
             continue
-        sides = [
-            words
-            for words, side in zip(("below", "above"), row.profile_sides, strict=True)
-            if side == "open"
-        ]
-        if sides:
-            out.append(f"The data do not bound {name} {' or '.join(sides)}.")
-        elif np.isfinite(high - low) and 0.5 * (high - low) > LOOSE * abs(row.optimum):
-            out.append(f"{name} is hardly known: anywhere from {low:.3g} to {upper} (95 %).")
+        out.append(Loose(row.name, row.unit, how, low, high))
     return tuple(out)

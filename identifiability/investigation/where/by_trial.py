@@ -1,22 +1,34 @@
-"""In which trials, or kinds of perturbation, a model fails."""
+"""In which trials a model fails."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 from scipy import stats
 
 from identifiability.investigation.fits.refits import correlation_time
-from identifiability.investigation.where.compare import plain
-from identifiability.investigation.where.scene import Scene, View
+from identifiability.investigation.where.drawing import (
+    MOST_LABELS,
+    is_logarithmic,
+    label_below,
+    unity,
+)
+from identifiability.investigation.where.numerals import short
+from identifiability.investigation.where.scene import Scene
+from identifiability.investigation.where.view import Panel, View
 from identifiability.investigation.where.whitening import excess
+from identifiability.palette import BLUE
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 
 @dataclass(frozen=True, eq=False)
 class TrialView(View):
-    """Error of each trial, or condition, against the noise; or against the others, if unknown.
+    """Error of each trial against the noise; or against the others, if that is unknown.
 
     Attributes
     ----------
@@ -31,6 +43,11 @@ class TrialView(View):
     p_values, flags : array, shape (n,)
     """
 
+    name: ClassVar[str] = "trials"
+    singular: ClassVar[str] = "trial"
+    plural: ClassVar[str] = "trials"
+    width: ClassVar[int] = 3
+
     names: tuple[str, ...]
     errors: np.ndarray
     pooled: float
@@ -38,53 +55,94 @@ class TrialView(View):
     p_values: np.ndarray
     flags: np.ndarray
 
+    @classmethod
+    def of(cls, scene: Scene) -> Self:
+        """Test the residual of every trial."""
+        return cls.of_groups(scene, [(ready.name, [i]) for i, ready in enumerate(scene.parts)])
 
-def by_trial(
-    scene: Scene, groups: Sequence[tuple[str, list[int]]], what: str, plural: str
-) -> TrialView:
-    """Test the residual of every trial, or group of trials."""
-    fitted = scene.candidate.fitted
-    names = tuple(name for name, _ in groups)
-    errors = np.array([float(np.mean(fitted.errors[members])) for _, members in groups])
-    n = len(groups)
-    ratio, p_values = np.ones(n), np.ones(n)
-    if scene.noise.known:
-        for k, (_, members) in enumerate(groups):
-            portions = [scene.noise.portion(i, scene.blocks[i], slice(None)) for i in members]
-            total = sum(float(np.sum(scene.blocks[i].values ** 2)) for i in members)
-            ratio[k], p_values[k] = excess(total, portions, scene.slack)
-    elif n > 1:
-        # The noise may be alike in all trials, or in proportion to the response: exceed both.
-        squares = [float(np.mean(r**2)) for r in fitted.by_trial]
-        samples = [r.size / correlation_time((r,)) for r in fitted.by_trial]
-        counts = np.array([sum(samples[i] for i in members) for _, members in groups])
-        levels = np.array([np.mean([squares[i] for i in members]) for _, members in groups])
-        for k in range(n):
-            others = np.arange(n) != k
-            ratio[k] = min(
-                x[k] / max(float(np.average(x[others], weights=counts[others])), 1e-300)
-                for x in (errors, levels)
-            )
-            p_values[k] = stats.f.sf(ratio[k], counts[k], counts[others].sum())
-    flags = scene.significant(p_values)
-    pooled = fitted.error
-    if n == 1 and not scene.noise.known:
-        sentence = f"There is one {what} (E = {plain(pooled)}), and the noise is unknown."
-    elif not flags.any():
+    @classmethod
+    def of_groups(cls, scene: Scene, groups: Sequence[tuple[str, list[int]]]) -> Self:
+        """Test the residual of every group of trials, given by its name and their numbers."""
+        fitted = scene.candidate.fitted
+        names = tuple(name for name, _ in groups)
+        errors = np.array([float(np.mean(fitted.errors[members])) for _, members in groups])
+        n = len(groups)
+        ratio, p_values = np.ones(n), np.ones(n)
+        if scene.noise.known:
+            for k, (_, members) in enumerate(groups):
+                portions = [scene.noise.portion(i, scene.blocks[i], slice(None)) for i in members]
+                total = sum(float(np.sum(scene.blocks[i].values ** 2)) for i in members)
+                ratio[k], p_values[k] = excess(total, portions, scene.slack)
+        elif n > 1:
+            # The noise may be alike in all trials, or in proportion to the response: exceed both.
+            squares = [float(np.mean(r**2)) for r in fitted.by_trial]
+            samples = [r.size / correlation_time((r,)) for r in fitted.by_trial]
+            counts = np.array([sum(samples[i] for i in members) for _, members in groups])
+            levels = np.array([np.mean([squares[i] for i in members]) for _, members in groups])
+            for k in range(n):
+                others = np.arange(n) != k
+                ratio[k] = min(
+                    x[k] / max(float(np.average(x[others], weights=counts[others])), 1e-300)
+                    for x in (errors, levels)
+                )
+                p_values[k] = stats.f.sf(ratio[k], counts[k], counts[others].sum())
+        flags = scene.significant(p_values)
+        return cls(
+            bool(flags.any()),
+            scene.noise.known,
+            names,
+            errors,
+            fitted.error,
+            ratio,
+            p_values,
+            flags,
+        )
+
+    def words(self) -> str:
+        """How many are worse than the noise, or than the others, and which is worst."""
+        n, pooled = len(self.names), short(self.pooled)
+        if n == 1 and not self.noise_known:
+            return f"There is one {self.singular} (E = {pooled}), and the noise is unknown."
         against = (
-            "the noise explains" if scene.noise.known else "the others have (the noise is unknown)"
+            "the noise explains" if self.noise_known else "the others have (the noise is unknown)"
         )
-        sentence = f"No {what} has a larger error than {against} (E = {plain(pooled)})."
-    else:
-        worst = int(np.argmax(np.where(flags, ratio, 0.0)))
-        against = (
-            "the noise explains" if scene.noise.known else "the others have (the noise is unknown)"
-        )
-        sentence = (
-            f"{flags.sum()} of {n} {plural} have a larger error than {against}; it is largest "
-            f"against that in {names[worst]} (E = {plain(errors[worst])}, over all "
-            f"{plain(pooled)})."
-        )
+        if not self.significant:
+            return f"No {self.singular} has a larger error than {against} (E = {pooled})."
         if n == 1:
-            sentence = f"The one {what} has a larger error than {against} (E = {plain(pooled)})."
-    return TrialView(bool(flags.any()), sentence, names, errors, pooled, ratio, p_values, flags)
+            return f"The one {self.singular} has a larger error than {against} (E = {pooled})."
+        worst = int(np.argmax(np.where(self.flags, self.ratio, 0.0)))
+        return (
+            f"{self.flags.sum()} of {n} {self.plural} have a larger error than {against}; it is "
+            f"largest against that in {self.names[worst]} (E = {short(self.errors[worst])}, over "
+            f"all {pooled})."
+        )
+
+    def panels(self) -> tuple[Panel, ...]:
+        """The residual's size in each."""
+        if len(self.names) < 2:
+            return ()
+        return (Panel(f"by {self.singular}", self.draw, self.width),)
+
+    def draw(self, panel: Axes) -> None:
+        """Draw the residual's size in each, with its error."""
+        place, ratio = np.arange(len(self.names)), np.sqrt(self.ratio)
+        panel.set_xlim(-0.7, max(place.size, 4) - 0.3)
+        colours = [BLUE if flag else "none" for flag in self.flags]
+        panel.bar(place, ratio, color=colours, edgecolor=BLUE, width=0.65)
+        if place.size <= MOST_LABELS:
+            for x, y, error in zip(place, ratio, self.errors, strict=True):
+                panel.annotate(
+                    f"E {error:.1g}",
+                    (x, y),
+                    xytext=(0, 3),
+                    textcoords="offset points",
+                    ha="center",
+                    fontsize=8,
+                )
+        unity(panel)
+        if is_logarithmic(ratio.max()):
+            panel.set_yscale("log")
+            panel.set_ylim(bottom=min(0.5, 0.8 * ratio.min()), top=2 * ratio.max())
+        others = "noise" if self.noise_known else "others'"
+        panel.set_ylabel(f"residual / {others}, r.m.s.")
+        label_below(panel, self.names)

@@ -9,7 +9,7 @@ common parameters follows chi-square, over its degrees of freedom F, if they are
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -20,7 +20,6 @@ from identifiability.investigation.fits.bench import Workbench
 from identifiability.investigation.fits.candidate import Candidate
 from identifiability.investigation.fits.refits import (
     NAMES,
-    UNITS,
     UNKNOWN_LEVEL,
     Refit,
     Refits,
@@ -29,15 +28,10 @@ from identifiability.investigation.fits.refits import (
     without_levels,
 )
 from identifiability.investigation.split import Split
-from identifiability.investigation.where.imposed import Imposed, imposed, starts
+from identifiability.investigation.where import groups
+from identifiability.investigation.where.groups import Group, Unit
+from identifiability.investigation.where.imposed import Imposed, imposed
 from identifiability.investigation.where.whitening import Whitening, whitening
-
-WINDOWS = (0.05, 0.1, 0.2)
-"""Windows T [s] after each perturbation: those of Kistemaker & Rozendaal (2011)."""
-LEVEL = 0.05
-_FEWEST, _MANY = 5, 8  # samples of a window; perturbations of a record that is split into them
-_LOOKED_AT = 0.2  # seconds after a perturbation in which its size and direction are read
-_NOTABLE = 3.0  # standard errors from which a change is named
 
 Aspect = Literal["window", "amplitude", "direction", "condition", "trial"]
 
@@ -98,6 +92,35 @@ class Estimate:
     at_bound: tuple[str, ...]
 
 
+@dataclass(frozen=True)
+class Change:
+    """How one of K, B and I differs between two groups.
+
+    Attributes
+    ----------
+    parameter : {"K", "B", "I"}
+    first, second : str
+        Labels of the groups: from the longest to the shortest window, from small to large, from
+        positive to negative, or the two of all conditions or trials that differ most clearly, the
+        smaller value first.
+    before, after : float
+        Value in the first and in the second [Nm/rad, Nms/rad, kg m²].
+    standard_errors : float
+        How many it changes by; 0 where they are not known.
+    notable : bool
+        Whether it is to be named, if the aspect is significant: clear, or the clearest of the
+        three.
+    """
+
+    parameter: str
+    first: str
+    second: str
+    before: float
+    after: float
+    standard_errors: float
+    notable: bool = False
+
+
 @dataclass(frozen=True, eq=False)
 class Constancy:
     """Whether K, B and I are the same in all groups of one kind.
@@ -111,17 +134,22 @@ class Constancy:
         Chi-square over its degrees of freedom.
     p_value : float
         1 where there are not two groups.
+    mixed : bool
+        Whether small and large, or positive and negative perturbations are of different waveforms
+        too, so that either may be the reason of a change.
+    changes : tuple of Change
+        One each of K, B and I; empty where there are not two groups.
     significant : bool
-        After Benjamini & Hochberg (1995) over all aspects, at a false discovery rate of 5 %.
-    sentence : str
+        After Benjamini & Hochberg (1995) over all aspects, at the comparison's level.
     """
 
     by: Aspect
-    groups: tuple[Estimate, ...]
-    statistic: float
-    p_value: float
-    significant: bool
-    sentence: str
+    groups: tuple[Estimate, ...] = ()
+    statistic: float = 0.0
+    p_value: float = 1.0
+    mixed: bool = False
+    changes: tuple[Change, ...] = ()
+    significant: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,39 +165,19 @@ class Comparison:
         K, B and I of all trials together.
     constancy : tuple of Constancy
         By window, amplitude, direction, condition and trial.
+    level : float
+        False discovery rate over the aspects.
     """
 
     trials: tuple[TrialRow, ...]
     error: float
     overall: Estimate
     constancy: tuple[Constancy, ...]
-
-    @property
-    def sentences(self) -> tuple[str, ...]:
-        """One sentence an aspect."""
-        return tuple(c.sentence for c in self.constancy)
+    level: float
 
     def by(self, aspect: Aspect) -> Constancy:
         """Constancy in one aspect."""
         return next(c for c in self.constancy if c.by == aspect)
-
-
-@dataclass(frozen=True)
-class _Unit:
-    """A stretch of compared samples of one trial, with an offset of its own if it has any."""
-
-    trial: int
-    first: int
-    last: int
-    amplitude: float
-    direction: int
-    kind: int
-
-
-@dataclass(frozen=True, eq=False)
-class _Group:
-    label: str
-    units: tuple[_Unit, ...]
 
 
 def compare(bench: Workbench, candidate: Candidate) -> Comparison:
@@ -185,35 +193,35 @@ def compare(bench: Workbench, candidate: Candidate) -> Comparison:
     -------
     Comparison
     """
-    split = bench.split
+    split, level = bench.split, bench.rules.false_discoveries
     loads = imposed(split.fitted)
     fitter = _Fitter(Refits(bench, candidate), split, _noise(split, candidate))
     whole = [
-        _Unit(i, 0, ready.last - ready.first, load.amplitude, load.direction, load.kind)
+        Unit(i, 0, ready.last - ready.first, load.amplitude, load.direction, load.kind)
         for i, (ready, load) in enumerate(zip(split.fitted, loads, strict=True))
     ]
-    units = _perturbations(split) or whole
-    everything = _Group("all", tuple(units))
+    units = groups.perturbations(split) or whole
+    everything = Group("all", tuple(units))
     overall = fitter.estimate(everything, fitter.refits.fit(fitter.take(everything)))
     aspects = [
-        _by_window(fitter),
-        _by_group(fitter, "amplitude", *_amplitudes(units)),
-        _by_group(fitter, "direction", *_directions(units)),
-        _by_group(fitter, "condition", *_conditions(whole, loads)),
-        _by_group(fitter, "trial", *_trials(whole, split)),
+        _by_window(fitter, groups.windows(split)),
+        _by_group(fitter, "amplitude", groups.amplitudes(units)),
+        _by_group(fitter, "direction", groups.directions(units)),
+        _by_group(fitter, "condition", groups.conditions(whole, loads)),
+        _by_group(fitter, "trial", groups.trials(whole, split)),
     ]
     # What cannot be tested is no test; the others are corrected for their number.
-    tested = [i for i, a in enumerate(aspects) if a.groups]
-    passed = set()
+    tested = [a for a in aspects if a.groups]
+    passed: set[Aspect] = set()
     if tested:
-        adjusted = stats.false_discovery_control([aspects[i].p_value for i in tested])
-        passed = {i for i, p in zip(tested, adjusted, strict=True) if p <= LEVEL}
+        adjusted = stats.false_discovery_control([a.p_value for a in tested])
+        passed = {a.by for a, p in zip(tested, adjusted, strict=True) if p <= level}
     constancy = tuple(
-        replace(a, significant=i in passed, sentence=_sentence(a, i in passed))
-        for i, a in enumerate(aspects)
+        replace(a, significant=a.by in passed, changes=_changes(a, bench.rules.notable))
+        for a in aspects
     )
     rows = tuple(_row(bench, candidate, i, load) for i, load in enumerate(loads))
-    return Comparison(rows, candidate.fitted.error, overall, constancy)
+    return Comparison(rows, candidate.fitted.error, overall, constancy, level)
 
 
 def _row(bench: Workbench, candidate: Candidate, i: int, load: Imposed) -> TrialRow:
@@ -250,11 +258,11 @@ class _Fitter:
     split: Split
     noise: Whitening
 
-    def take(self, *groups: _Group, scales: Sequence[float] = ()) -> Take:
+    def take(self, *groups: Group, scales: Sequence[float] = ()) -> Take:
         """Samples of the groups, whitened, in units of their weight and of a group's own scale."""
         parts, noise = self.split.fitted, self.noise
         weights = noise.sds / self.split.weights_sd(parts)
-        chosen: list[list[tuple[_Unit, float]]] = [[] for _ in parts]
+        chosen: list[list[tuple[Unit, float]]] = [[] for _ in parts]
         for group, scale in zip(groups, scales or [1.0] * len(groups), strict=True):
             for unit in group.units:
                 chosen[unit.trial].append((unit, scale))
@@ -278,12 +286,12 @@ class _Fitter:
 
         return rows
 
-    def estimate(self, group: _Group, found: Refit) -> Estimate:
+    def estimate(self, group: Group, found: Refit) -> Estimate:
         """Standard errors of a fit to a group: Gauss-Newton, for its independent samples.
 
         Parameters
         ----------
-        group : _Group
+        group : Group
         found : Refit
         """
         n = sum(row.size for row in found.rows)
@@ -323,34 +331,25 @@ def _inverse(information: np.ndarray) -> np.ndarray:
     return np.asarray(inverse / np.outer(scale, scale))
 
 
-def _by_group(fitter: _Fitter, by: Aspect, groups: Sequence[_Group], remark: str) -> Constancy:
-    """Constancy over groups that share no samples.
-
-    Parameters
-    ----------
-    fitter : _Fitter
-    by : str
-    groups : sequence of _Group
-        None where there are not two.
-    remark : str
-        Why there are none, or what the reader must bear in mind.
-    """
-    if not groups:
-        return Constancy(by, (), 0.0, 1.0, False, remark)
-    found = [fitter.refits.fit(fitter.take(group)) for group in groups]
-    estimates = tuple(fitter.estimate(g, f) for g, f in zip(groups, found, strict=True))
+def _by_group(fitter: _Fitter, by: Aspect, parts: Sequence[Group]) -> Constancy:
+    """Constancy over groups that share no samples."""
+    if not parts:
+        return Constancy(by)
+    found = [fitter.refits.fit(fitter.take(group)) for group in parts]
+    estimates = tuple(fitter.estimate(g, f) for g, f in zip(parts, found, strict=True))
     spreads = [max(fitter.spread(f), 1e-300) for f in found]
     scales = [float(np.sqrt(s)) for s in spreads]
-    common = fitter.refits.fit(fitter.take(*groups, scales=scales))
+    common = fitter.refits.fit(fitter.take(*parts, scales=scales))
     apart = sum(f.cost / s for f, s in zip(found, spreads, strict=True))
-    dof = 3 * (len(groups) - 1)
+    dof = 3 * (len(parts) - 1)
     statistic = max(common.cost - apart, 0.0) / dof
-    independent = sum(e.n_independent for e in estimates) - 3 * len(groups)
+    independent = sum(e.n_independent for e in estimates) - 3 * len(parts)
     p_value = fitter.probability(statistic, dof, independent, found)
-    return Constancy(by, estimates, statistic, p_value, False, remark)
+    mixed = by in ("amplitude", "direction") and parts[0].kinds != parts[1].kinds
+    return Constancy(by, estimates, statistic, p_value, mixed)
 
 
-def _by_window(fitter: _Fitter) -> Constancy:
+def _by_window(fitter: _Fitter, parts: Sequence[Group]) -> Constancy:
     """Constancy over windows, each of which contains the shorter ones.
 
     The shorter window's sum of squares at the longer one's parameters exceeds its own least by
@@ -358,22 +357,16 @@ def _by_window(fitter: _Fitter) -> Constancy:
     inv(A) - inv(A') of the difference d (Hausman 1978, Econometrica 46: 1251-1271): a weighted sum
     of chi-squares, which one scaled chi-square of the same mean and variance stands for.
     """
-    groups = _windows(fitter.split)
-    if len(groups) < 2:
-        shortest, longest = 1000 * WINDOWS[0], 1000 * WINDOWS[-1]
-        remark = (
-            f"Fewer than two of the windows of {shortest:g} to {longest:g} ms fit into the trials, "
-            "so whether K, B and I change with the window is not known."
-        )
-        return Constancy("window", (), 0.0, 1.0, False, remark)
+    if not parts:
+        return Constancy("window")
     found: list[Refit] = []
-    for group in reversed(groups):  # from the longest, which determines K, B and I best
+    for group in reversed(parts):  # from the longest, which determines K, B and I best
         start = found[-1].values if found else None
         found.append(fitter.refits.fit(fitter.take(group), start))
     found.reverse()
-    estimates = tuple(fitter.estimate(g, f) for g, f in zip(groups, found, strict=True))
+    estimates = tuple(fitter.estimate(g, f) for g, f in zip(parts, found, strict=True))
     total, mean, square, independent = 0.0, 0.0, 0.0, 0.0
-    for group, short, long, estimate in zip(groups, found, found[1:], estimates, strict=False):
+    for group, short, long, estimate in zip(parts, found, found[1:], estimates, strict=False):
         take = fitter.take(group)
         at_long = [
             take(i, left)[:, 0] for i, left in enumerate(fitter.refits.linearised(long.values)[0])
@@ -387,216 +380,60 @@ def _by_window(fitter: _Fitter) -> Constancy:
     dof = mean**2 / max(square, 1e-300)
     statistic = total / max(mean, 1e-300)
     p_value = fitter.probability(statistic, dof, independent, found[:-1])
-    return Constancy("window", estimates, statistic, p_value, False, "")
+    return Constancy("window", estimates, statistic, p_value)
 
 
-def _windows(split: Split) -> list[_Group]:
-    """For each window that fits, the samples within it after the perturbations."""
-    firsts = [starts(ready) for ready in split.fitted]
-    fitting: list[float] = []
-    units: dict[float, list[_Unit]] = {}
-    for window in WINDOWS:
-        units[window] = []
-        for i, (ready, onsets) in enumerate(zip(split.fitted, firsts, strict=True)):
-            length = round(window / ready.drive.interval)
-            ends = [*onsets[1:], ready.last - ready.first]
-            for onset, end in zip(onsets, ends, strict=True):
-                if length + 1 >= _FEWEST and onset + length < end:
-                    onset = int(onset)
-                    units[window].append(_Unit(i, onset, onset + length + 1, 0.0, 0, 0))
-        if units[window]:
-            fitting.append(window)
-    if not fitting:
-        return []
-    # Only perturbations that have the longest window, so that each window holds the shorter ones.
-    whole = {(u.trial, u.first) for u in units[fitting[-1]]}
-    return [
-        _Group(f"{1000 * w:g} ms", tuple(u for u in units[w] if (u.trial, u.first) in whole))
-        for w in fitting
-    ]
+def _changes(found: Constancy, notable: float) -> tuple[Change, ...]:
+    """Largest clear change of each of K, B and I.
 
-
-def _perturbations(split: Split) -> list[_Unit]:
-    """The single perturbations of long records, where every trial is one; otherwise nothing."""
-    units = []
-    for i, ready in enumerate(split.fitted):
-        onsets = starts(ready)
-        if onsets.size < _MANY:
-            return []
-        signal = ready.drive.signals[ready.first : ready.last, 0]
-        look = round(_LOOKED_AT / ready.drive.interval)
-        for first, last in zip(onsets, [*onsets[1:], signal.size], strict=True):
-            moved = signal[first : min(last, first + look)] - signal[first]
-            change = moved[np.argmax(np.abs(moved))] if moved.size else 0.0
-            if last - first >= _FEWEST and change != 0:
-                sign = 1 if change > 0 else -1
-                units.append(_Unit(i, int(first), int(last), float(abs(change)), sign, 0))
-    return units
-
-
-def _amplitudes(units: Sequence[_Unit]) -> tuple[list[_Group], str]:
-    """Small and large perturbations; of one kind and direction, where there are such."""
-    strictest: list[Callable[[_Unit], object]] = [
-        lambda u: (u.kind, u.direction),
-        lambda u: u.kind,
-    ]
-    for key in strictest:
-        small, large = _halves(units, key)
-        if small:
-            break
-    else:
-        small, large = _halves(units, lambda u: 0)
-    if not small:
-        return (
-            [],
-            "All perturbations are of one size, so whether K, B and I change with it is not known.",
-        )
-    mixed = {u.kind for u in small} != {u.kind for u in large}
-    remark = "; the waveforms differ too" if mixed else ""
-    return [_Group("small", tuple(small)), _Group("large", tuple(large))], remark
-
-
-def _halves(
-    units: Sequence[_Unit], key: Callable[[_Unit], object]
-) -> tuple[list[_Unit], list[_Unit]]:
-    """Units below and above the middle amplitude of those that share a key."""
-    small: list[_Unit] = []
-    large: list[_Unit] = []
-    for value in dict.fromkeys(key(u) for u in units):
-        alike = [u for u in units if key(u) == value]
-        sizes = [u.amplitude for u in alike]
-        if max(sizes) < 1.2 * min(sizes):
-            continue
-        # The middle between neighbours that differ most evenly: by size, not by number, where few.
-        middle = (
-            float(np.median(sizes)) if len(sizes) >= _MANY else np.sqrt(max(sizes) * min(sizes))
-        )
-        small += [u for u in alike if u.amplitude < middle]
-        large += [u for u in alike if u.amplitude >= middle]
-    return small, large
-
-
-def _directions(units: Sequence[_Unit]) -> tuple[list[_Group], str]:
-    """Perturbations to either side; of one kind and size, where there are such."""
-
-    def size(u: _Unit) -> tuple[int, int]:
-        return u.kind, round(np.log(u.amplitude) / np.log(1.1)) if u.amplitude > 0 else 0
-
-    keys: list[Callable[[_Unit], object]] = [size, lambda u: u.kind, lambda u: 0]
-    for key in keys:
-        both: dict[int, list[_Unit]] = {1: [], -1: []}
-        for value in dict.fromkeys(key(u) for u in units):
-            alike = [u for u in units if key(u) == value]
-            if {u.direction for u in alike} >= {1, -1}:
-                for unit in alike:
-                    if unit.direction:
-                        both[unit.direction].append(unit)
-        if both[1]:
-            break
-    if not both[1]:
-        return [], (
-            "All perturbations go one way, so whether K, B and I change with the direction is not "
-            "known."
-        )
-    remark = ""
-    if {u.kind for u in both[1]} != {u.kind for u in both[-1]}:
-        remark = "; the waveforms differ too"
-    return [_Group("positive", tuple(both[1])), _Group("negative", tuple(both[-1]))], remark
-
-
-def _conditions(units: Sequence[_Unit], loads: Sequence[Imposed]) -> tuple[list[_Group], str]:
-    names = dict.fromkeys(load.condition for load in loads)
-    groups = [
-        _Group(name, tuple(u for u in units if loads[u.trial].condition == name)) for name in names
-    ]
-    if len(groups) < 2:
-        return [], "All trials are of one kind, so K, B and I cannot change with it."
-    return groups, ""
-
-
-def _trials(units: Sequence[_Unit], split: Split) -> tuple[list[_Group], str]:
-    groups = [_Group(split.fitted[u.trial].name, (u,)) for u in units]
-    if len(groups) < 2:
-        return [], "There is one trial, so K, B and I cannot change from trial to trial."
-    return groups, ""
-
-
-def _sentence(found: Constancy, significant: bool) -> str:
-    """One plain sentence on one aspect."""
+    Parameters
+    ----------
+    found : Constancy
+    notable : float
+        Standard errors from which a change is named, even if another is clearer.
+    """
     if not found.groups:
-        return found.sentence
-    where = {
-        "window": "with the window",
-        "amplitude": "with the size of the perturbation",
-        "direction": "with its direction",
-        "condition": "with the kind of perturbation",
-        "trial": "from trial to trial",
-    }[found.by]
-    if not significant:
-        return (
-            f"K, B and I do not change {where} by more than their errors explain "
-            f"({probability(found.p_value)})."
-        )
-    changes = [c for c in (_change(found, i) for i in range(3)) if c[0] > 0]
-    if not changes:
-        return f"K, B and I change {where} ({probability(found.p_value)}), though none by itself."
-    largest = max(changes)[0]
-    named = [text for score, text in changes if score >= min(_NOTABLE, largest)]
-    listed = ", ".join(named[:-1]) + (" and " if named[:-1] else "") + named[-1]
-    if found.by == "window":
-        ends = f"{found.groups[-1].label} to {found.groups[0].label}"
-        how = f"as the window shortens from {ends}"
-    elif found.by == "amplitude":
-        how = "from small to large perturbations"
-    elif found.by == "direction":
-        how = "from the positive to the negative direction"
-    else:
-        how = where
-    return f"{listed} {how}: it should not if the model is right{found.sentence}."
+        return ()
+    changes = [_change(found, i, notable) for i in range(len(NAMES))]
+    largest = max(change.standard_errors for change in changes)
+    return tuple(
+        replace(c, notable=0 < c.standard_errors >= min(notable, largest)) for c in changes
+    )
 
 
-def _change(found: Constancy, i: int) -> tuple[float, str]:
-    """How many standard errors a parameter changes by, and its largest clear change in words."""
-    values = np.array([g.values[i] for g in found.groups])
-    errors = np.array([g.errors[i] for g in found.groups])
+def _change(found: Constancy, i: int, notable: float) -> Change:
+    values = np.array([group.values[i] for group in found.groups])
+    errors = np.array([group.errors[i] for group in found.groups])
     if found.by == "window":
         a, b = len(values) - 1, 0
-        error = np.sqrt(max(errors[b] ** 2 - errors[a] ** 2, 0.25 * errors[b] ** 2))
-    elif found.by in ("amplitude", "direction"):
-        a, b = 0, 1
-        error = np.hypot(errors[0], errors[1])
+        error = _nested(errors[b], errors[a])
     else:
-        apart = np.abs(values[:, None] - values)
-        scores = apart / np.maximum(np.hypot(errors[:, None], errors), 1e-300)
-        clear = np.where(scores >= min(_NOTABLE, scores.max()), apart, -1.0)
-        pair = np.unravel_index(int(np.argmax(clear)), clear.shape)
-        a, b = sorted((int(pair[0]), int(pair[1])), key=lambda k: values[k])
-        error = np.hypot(errors[a], errors[b])
-    score = abs(values[b] - values[a]) / error if error > 0 else 0.0
-    x, y = _in_words(values[a], values[b])
-    if found.by in ("condition", "trial"):
-        labels = found.groups[a].label, found.groups[b].label
-        return float(
-            score
-        ), f"{NAMES[i]} goes from {x} ({labels[0]}) to {y} {UNITS[i]} ({labels[1]})"
-    verb = "rises" if values[b] > values[a] else "falls"
-    return float(score), f"{NAMES[i]} {verb} from {x} to {y} {UNITS[i]}"
+        a, b = (0, 1) if found.by in ("amplitude", "direction") else _apart(values, errors, notable)
+        error = float(np.hypot(errors[a], errors[b]))
+    return Change(
+        NAMES[i],
+        found.groups[a].label,
+        found.groups[b].label,
+        float(values[a]),
+        float(values[b]),
+        float(abs(values[b] - values[a]) / error) if error > 0 else 0.0,
+    )
 
 
-def _in_words(a: float, b: float) -> tuple[str, str]:
-    """Two numbers with as many digits as it takes to tell them apart, at least two."""
-    for digits in range(2, 7):
-        x, y = plain(a, digits), plain(b, digits)
-        if x != y:
-            break
-    return x, y
+def _nested(short: float, long: float) -> float:
+    """Standard error of the difference of estimates of which one's samples hold the other's.
+
+    It is at least half that of the shorter one, lest a chance in the errors count as clearness.
+    """
+    if not np.isfinite(short):
+        return np.inf
+    return float(np.sqrt(max(short**2 - long**2, 0.25 * short**2)))
 
 
-def plain(x: float, digits: int = 2) -> str:
-    """A number with so many significant digits, without an exponent unless it is very small."""
-    return f"{float(f'{x:.{digits}g}'):.10g}"
-
-
-def probability(p: float) -> str:
-    """A p value in words."""
-    return "p < 0.001" if p < 1e-3 else f"p = {p:.2g}"
+def _apart(values: np.ndarray, errors: np.ndarray, notable: float) -> tuple[int, int]:
+    """Two groups: of those that differ clearly, or most clearly, those furthest apart."""
+    distance = np.abs(values[:, None] - values)
+    scores = distance / np.maximum(np.hypot(errors[:, None], errors), 1e-300)
+    clear = np.where(scores >= min(notable, scores.max()), distance, -1.0)
+    a, b = np.unravel_index(int(np.argmax(clear)), clear.shape)
+    return (int(a), int(b)) if values[a] <= values[b] else (int(b), int(a))

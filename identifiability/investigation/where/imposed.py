@@ -7,9 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from identifiability.investigation.split import Ready
+from identifiability.measurement.prepared import Prepared
 from identifiability.measurement.trials import onsets
 
+OTHER_SIZE = 1.2
+"""Ratio of two sizes from which they count as different."""
 _ALIKE = 0.99  # correlation of imposed signals that are scaled copies of each other
 _TWO_SIDED = 0.8  # ratio of the excursions to both sides from which there is no main direction
 _REST, _AT_REST = 0.02, 0.05  # seconds before an onset, and share of the response's range
@@ -40,7 +42,7 @@ class Imposed:
     condition: str
 
 
-def imposed(part: Sequence[Ready]) -> tuple[Imposed, ...]:
+def imposed(part: Sequence[Prepared]) -> tuple[Imposed, ...]:
     """Amplitude, direction and kind of every trial."""
     signals = [_signal(ready) for ready in part]
     leaders: list[int] = []
@@ -70,7 +72,7 @@ def imposed(part: Sequence[Ready]) -> tuple[Imposed, ...]:
     )
 
 
-def starts(ready: Ready) -> np.ndarray:
+def starts(ready: Prepared) -> np.ndarray:
     """Compared samples at which a perturbation starts, counted from the first compared one.
 
     Where the torque is imposed only those that find the joint at rest count: after them the
@@ -96,7 +98,7 @@ def starts(ready: Ready) -> np.ndarray:
     return inside if inside.size else np.zeros(1, int)
 
 
-def _signal(ready: Ready) -> tuple[float, np.ndarray]:
+def _signal(ready: Prepared) -> tuple[float, np.ndarray]:
     """Imposed signal from the first onset on, less its value there."""
     values = ready.drive.signals[ready.first : ready.last, 0]
     onset = int(starts(ready)[0])
@@ -119,5 +121,5 @@ def _direction(response: np.ndarray) -> int:
     return 1 if up > down else -1
 
 
-def _like(part: Sequence[Ready], leader: int, n: int) -> str:
+def _like(part: Sequence[Prepared], leader: int, n: int) -> str:
     return part[leader].name if n == 1 else f"like {part[leader].name}"

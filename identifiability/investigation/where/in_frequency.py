@@ -5,15 +5,23 @@ from __future__ import annotations
 import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 from scipy import signal, stats
 
-from identifiability.investigation.where.compare import plain
-from identifiability.investigation.where.scene import Scene, View
+from identifiability.investigation.where.drawing import legend_above, points, unity
+from identifiability.investigation.where.numerals import short
+from identifiability.investigation.where.scene import Scene
+from identifiability.investigation.where.view import Panel, View
 from identifiability.investigation.where.whitening import Portion, excess
+from identifiability.palette import BLUE, VERMILLION
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 _LONGEST_SEGMENT, _FEWEST_SEGMENTS = 1.0, 3  # of the spectra [s]; for a coherence
+_FEWEST_SAMPLES = 16  # of a segment
 _TAPERED = 0.25  # share of a segment that is tapered, lest its ends leak into high frequencies
 
 
@@ -33,7 +41,11 @@ class FrequencyView(View):
         Squared coherence of the residual with the imposed signal; nan where it is not known.
     coherent : array, shape (n,)
         Whether it is significant.
+    driven : {"torque", "angle"}
+        What was imposed.
     """
+
+    name: ClassVar[str] = "frequency"
 
     edges: np.ndarray
     ratio: np.ndarray
@@ -41,56 +53,145 @@ class FrequencyView(View):
     flags: np.ndarray
     coherence: np.ndarray
     coherent: np.ndarray
+    driven: str
 
+    @classmethod
+    def of(cls, scene: Scene) -> Self:
+        """Test the residual's power, and its coherence with what was imposed, in octaves."""
+        driven = scene.parts[0].trial.driven
+        residuals, inputs, owners, duration = _segments(scene)
+        if not owners:
+            none = np.zeros(0)
+            flags = np.zeros(0, bool)
+            return cls(False, scene.noise.known, none, none, none, flags, none, flags, driven)
+        highest = min(len(r) for r in residuals)
+        edges = _octaves(highest - 1)
+        power = np.array([np.abs(r[:highest]) ** 2 for r in residuals])
+        cross = np.array(
+            [r[:highest] * np.conj(u[:highest]) for r, u in zip(residuals, inputs, strict=True)]
+        )
+        drive = np.array([np.abs(u[:highest]) ** 2 for u in inputs])
+        known = len(owners) >= _FEWEST_SEGMENTS
+        norm = power.sum(axis=0) * drive.sum(axis=0)
+        squared = np.abs(cross.sum(axis=0)) ** 2 / np.where(norm > 0, norm, 1.0)
+        squared = np.clip(squared, 0.0, 1 - 1e-12)
+        n = edges.size - 1
+        # The taper joins neighbouring frequencies: so many count as one.
+        taper = signal.windows.tukey(1000, _TAPERED)
+        shared = float(np.mean(taper**4) / np.mean(taper**2) ** 2)
+        ratio, p_values = np.ones(n), np.ones(n)
+        coherence, p_coherent = np.full(n, np.nan), np.ones(n)
+        for k, (low, high) in enumerate(itertools.pairwise(edges)):
+            band = slice(low, high)
+            portions = [
+                Portion(2 * (high - low) * owners.count(i) / shared, 0.0, float(scene.noise.dof[i]))
+                for i in dict.fromkeys(owners)
+            ]
+            hertz_of_band = np.arange(low, high) / duration
+            places = [hertz_of_band * ready.drive.interval for ready in scene.parts]
+            slack = max(scene.noise.slack(place) for place in places)
+            lift = max(scene.noise.lift(place) for place in places) if scene.noise.known else 0.0
+            total = 2 * float(power[:, band].sum()) / shared / (1 + lift)
+            ratio[k], p_values[k] = excess(total, portions, slack)
+            p_values[k] = max(
+                p_values[k], _against_lead(scene, hertz_of_band, power[:, band], owners)
+            )
+            if known:
+                coherence[k] = squared[band].mean()
+                # Of noise, -(L - 1) ln(1 - coherence) of L segments is exponentially distributed.
+                score = -(len(owners) - 1) * np.log1p(-squared[band]).sum()
+                p_coherent[k] = stats.gamma.sf(score / shared, (high - low) / shared)
+        flags = scene.significant(p_values) if scene.noise.known else np.zeros(n, bool)
+        coherent = scene.significant(p_coherent) if known else np.zeros(n, bool)
+        significant = bool(flags.any() if scene.noise.known else coherent.any())
+        return cls(
+            significant,
+            scene.noise.known,
+            edges / duration,
+            ratio,
+            p_values,
+            flags,
+            coherence,
+            coherent,
+            driven,
+        )
 
-def in_frequency(scene: Scene) -> FrequencyView:
-    """Test the residual's power, and its coherence with what was imposed, in octaves."""
-    residuals, inputs, owners, duration = _segments(scene)
-    if not owners:
-        none = np.zeros(0)
-        flags = np.zeros(0, bool)
-        reason = "The trials are too short for a spectrum."
-        return FrequencyView(False, reason, none, none, none, flags, none, flags)
-    highest = min(len(r) for r in residuals)
-    edges = _octaves(highest - 1)
-    power = np.array([np.abs(r[:highest]) ** 2 for r in residuals])
-    cross = np.array(
-        [r[:highest] * np.conj(u[:highest]) for r, u in zip(residuals, inputs, strict=True)]
-    )
-    drive = np.array([np.abs(u[:highest]) ** 2 for u in inputs])
-    known = len(owners) >= _FEWEST_SEGMENTS
-    norm = power.sum(axis=0) * drive.sum(axis=0)
-    squared = np.abs(cross.sum(axis=0)) ** 2 / np.where(norm > 0, norm, 1.0)
-    squared = np.clip(squared, 0.0, 1 - 1e-12)
-    n = edges.size - 1
-    # The taper joins neighbouring frequencies: so many count as one.
-    taper = signal.windows.tukey(1000, _TAPERED)
-    shared = float(np.mean(taper**4) / np.mean(taper**2) ** 2)
-    ratio, p_values, coherence, p_coherent = np.ones(n), np.ones(n), np.full(n, np.nan), np.ones(n)
-    for k, (low, high) in enumerate(itertools.pairwise(edges)):
-        band = slice(low, high)
-        portions = [
-            Portion(2 * (high - low) * owners.count(i) / shared, 0.0, float(scene.noise.dof[i]))
-            for i in dict.fromkeys(owners)
-        ]
-        hertz_of_band = np.arange(low, high) / duration
-        places = [hertz_of_band * ready.drive.interval for ready in scene.parts]
-        slack = max(scene.noise.slack(place) for place in places)
-        lift = max(scene.noise.lift(place) for place in places) if scene.noise.known else 0.0
-        total = 2 * float(power[:, band].sum()) / shared / (1 + lift)
-        ratio[k], p_values[k] = excess(total, portions, slack)
-        p_values[k] = max(p_values[k], _against_lead(scene, hertz_of_band, power[:, band], owners))
-        if known:
-            coherence[k] = squared[band].mean()
-            # Of noise, -(L - 1) ln(1 - coherence) of L segments is exponentially distributed.
-            score = -(len(owners) - 1) * np.log1p(-squared[band]).sum()
-            p_coherent[k] = stats.gamma.sf(score / shared, (high - low) / shared)
-    flags = scene.significant(p_values) if scene.noise.known else np.zeros(n, bool)
-    coherent = scene.significant(p_coherent) if known else np.zeros(n, bool)
-    hertz = edges / duration
-    sentence = _frequency_sentence(scene, hertz, ratio, flags, coherent, known)
-    significant = bool(flags.any() if scene.noise.known else coherent.any())
-    return FrequencyView(significant, sentence, hertz, ratio, p_values, flags, coherence, coherent)
+    @property
+    def coherence_known(self) -> bool:
+        """Whether there are segments enough for a coherence."""
+        return bool(np.isfinite(self.coherence).any())
+
+    def words(self) -> str:
+        """At which frequencies, and whether what was imposed drives it."""
+        if not self.edges.size:
+            return "The trials are too short for a spectrum."
+        imposed = f"the imposed {self.driven}"
+        if not self.noise_known:
+            if not self.coherence_known:
+                return "The noise is unknown and there are too few trials for a coherence."
+            if not self.coherent.any():
+                return f"At no frequency is the residual coherent with {imposed}."
+            return (
+                f"The residual is coherent with {imposed} at {_bands(self.edges, self.coherent)}: "
+                "what is missing is driven by it (the noise is unknown)."
+            )
+        if not self.significant:
+            return (
+                "At no frequency does the residual's power exceed the noise's "
+                f"({self.flags.size} bands)."
+            )
+        worst = int(np.argmax(np.where(self.flags, self.ratio, 0.0)))
+        low, high = self.edges[worst : worst + 2]
+        sentence = (
+            f"The residual's power exceeds the noise's at {_bands(self.edges, self.flags)}, most "
+            f"({short(self.ratio[worst])} times) at {short(low)} to {short(high)} Hz"
+        )
+        if not self.coherence_known:
+            return sentence + "."
+        does = "is" if (self.coherent & self.flags).any() else "is not"
+        return f"{sentence}; it {does} coherent with {imposed}."
+
+    def panels(self) -> tuple[Panel, ...]:
+        """The residual's power by frequency, or its coherence where the noise is unknown."""
+        if self.noise_known:
+            return (Panel("by frequency", self.draw_power),) if self.edges.size else ()
+        return (Panel("by frequency", self.draw_coherence),) if self.coherence_known else ()
+
+    def draw_power(self, panel: Axes) -> None:
+        """Draw the residual's power over the noise's, and mark what is coherent."""
+        centres = self._axis(panel)
+        panel.stairs(self.ratio, self.edges, color=BLUE, baseline=None, lw=1.8)
+        points(panel, centres, self.ratio, self.flags)
+        both = self.flags & self.coherent
+        panel.plot(
+            centres[both],
+            self.ratio[both],
+            "o",
+            mfc="none",
+            mec=VERMILLION,
+            ms=11,
+            mew=1.6,
+            label=f"coherent with the {self.driven}",
+        )
+        unity(panel)
+        panel.set_yscale("log")
+        panel.set_ylabel("residual / noise, power")
+        if both.any():
+            legend_above(panel)
+
+    def draw_coherence(self, panel: Axes) -> None:
+        """Draw the residual's coherence with what was imposed."""
+        centres, coherence = self._axis(panel), np.nan_to_num(self.coherence)
+        panel.stairs(coherence, self.edges, color=BLUE, lw=1.8, baseline=None)
+        points(panel, centres, coherence, self.coherent)
+        panel.set_ylim(0, 1)
+        panel.set_ylabel(f"coherence with the {self.driven}")
+
+    def _axis(self, panel: Axes) -> np.ndarray:
+        """Make the horizontal axis; gives the middles of the bands [Hz]."""
+        panel.set_xscale("log")
+        panel.set_xlabel("frequency [Hz]")
+        return np.asarray(np.sqrt(self.edges[:-1] * self.edges[1:]))
 
 
 def _segments(
@@ -106,7 +207,7 @@ def _segments(
     residuals, inputs, owners = [], [], []
     for i, (ready, first) in enumerate(zip(scene.parts, firsts, strict=True)):
         length = int(duration / ready.drive.interval * (1 + 1e-9))
-        if length < 16:
+        if length < _FEWEST_SAMPLES:
             return [], [], [], duration
         taper = signal.windows.tukey(length, _TAPERED)
         white = scene.noise.white(i, scene.candidate.fitted.by_trial[i])
@@ -149,40 +250,8 @@ def _octaves(highest: int) -> np.ndarray:
     return np.array(edges)
 
 
-def _frequency_sentence(
-    scene: Scene,
-    hertz: np.ndarray,
-    ratio: np.ndarray,
-    flags: np.ndarray,
-    coherent: np.ndarray,
-    coherence_known: bool,
-) -> str:
-    imposed_signal = scene.parts[0].trial.driven
-    if not scene.noise.known:
-        if not coherence_known:
-            return "The noise is unknown and there are too few trials for a coherence."
-        if not coherent.any():
-            return f"At no frequency is the residual coherent with the imposed {imposed_signal}."
-        return (
-            f"The residual is coherent with the imposed {imposed_signal} at "
-            f"{_bands(hertz, coherent)}: what is missing is driven by it (the noise is unknown)."
-        )
-    if not flags.any():
-        return f"At no frequency does the residual's power exceed the noise's ({flags.size} bands)."
-    worst = int(np.argmax(np.where(flags, ratio, 0.0)))
-    sentence = (
-        f"The residual's power exceeds the noise's at {_bands(hertz, flags)}, most "
-        f"({plain(ratio[worst])} times) at {plain(hertz[worst])} to {plain(hertz[worst + 1])} Hz"
-    )
-    if not coherence_known:
-        return sentence + "."
-    if (coherent & flags).any():
-        return sentence + f"; it is coherent with the imposed {imposed_signal}."
-    return sentence + f"; it is not coherent with the imposed {imposed_signal}."
-
-
 def _bands(hertz: np.ndarray, flags: np.ndarray) -> str:
     """Flagged bands in words, neighbours joined."""
     edge = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(int), [0]])))
     pairs = edge.reshape(-1, 2)
-    return " and ".join(f"{plain(hertz[low])} to {plain(hertz[high])} Hz" for low, high in pairs)
+    return " and ".join(f"{short(hertz[low])} to {short(hertz[high])} Hz" for low, high in pairs)

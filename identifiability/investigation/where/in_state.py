@@ -4,15 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
+from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 from scipy import linalg, signal, stats
 
 from identifiability.investigation.fits.refits import correlation_time
-from identifiability.investigation.split import Ready
-from identifiability.investigation.where.compare import probability
-from identifiability.investigation.where.scene import Scene, View
+from identifiability.investigation.where.drawing import INTERVAL, points
+from identifiability.investigation.where.numerals import probability
+from identifiability.investigation.where.scene import Scene
+from identifiability.investigation.where.view import Panel, View
 from identifiability.investigation.where.whitening import Portion, excess
+from identifiability.measurement.prepared import Prepared
+from identifiability.palette import BLUE, GREY
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 _KNOTS, _REACH = 9, 0.995  # of angle and velocity each, an odd number; quantile that they span
 _DETERMINED = 0.03  # least singular value of the regression on torques, relative to the largest
@@ -55,75 +63,115 @@ class StateView(View):
     p_value : float
     """
 
+    name: ClassVar[str] = "state"
+
     angle: Curve | None
     velocity: Curve | None
     share: float
     p_value: float
 
+    @classmethod
+    def of(cls, scene: Scene) -> Self:
+        """Unexplained torque against angle and velocity, by generalised least squares.
 
-def in_state(scene: Scene) -> StateView:
-    """Unexplained torque against angle and velocity, by generalised least squares.
+        A torque f(angle) + g(velocity), both piecewise linear, acts on the joint that the model
+        says it is (with the candidate's K, B and I), and the response to it is fitted to the
+        whitened residual together with changes of K, B and I and of the trials' levels. This needs
+        no second derivative of the measured angle. A torque over the plane of both is not
+        determined by transients, each of which visits one line in it.
+        """
+        motions = [
+            _motion(ready, left)
+            for ready, left in zip(scene.parts, scene.candidate.fitted.by_trial, strict=True)
+        ]
+        knots = [_knots(np.concatenate([motion[k] for motion in motions])) for k in (0, 1)]
+        _, slopes = scene.refits.linearised(scene.refits.values)
+        values, nuisance, forced = [], [], []
+        often = np.zeros(2 * _KNOTS)
+        for i, (ready, b) in enumerate(scene.observed):
+            hats = np.column_stack([_hats(x, k) for x, k in zip(motions[i], knots, strict=True)])
+            often += np.sum(hats[b.index[:, 0]] ** 2, axis=0)
+            forced.append(scene.noise.averaged(i, _response_to(scene, ready, hats), b.index))
+            levels = np.zeros((len(b.values), len(scene.parts)))
+            ones = np.ones((len(hats), 1))
+            levels[:, i] = scene.noise.averaged(i, ones, b.index)[:, 0]
+            nuisance.append(np.column_stack([scene.noise.averaged(i, slopes[i], b.index), levels]))
+            values.append(b.values)
+        taken = _span(np.concatenate(nuisance))
+        design, left = (
+            rows - taken @ (taken.T @ rows) for rows in map(np.concatenate, (forced, values))
+        )
+        misfit = float(left @ left) - (left.size - taken.shape[1])
+        both, angle, velocity = (
+            _regression(left, design, knots, often, parts) for parts in ((0, 1), (0,), (1,))
+        )
+        if not both.rank:
+            return cls(False, scene.noise.known, None, None, 0.0, 1.0)
+        owner = np.repeat(np.arange(len(scene.parts)), [len(b.values) for b in scene.blocks])
+        numbers = np.bincount(owner, both.leverage, len(scene.parts))
+        portions = [
+            Portion(float(n), 0.0, float(dof))
+            for n, dof in zip(numbers, scene.noise.dof, strict=True)
+        ]
+        p_value = excess(both.gained, portions, scene.slow_slack)[1]
+        shares = [
+            float(np.clip((fit.gained - fit.rank) / misfit, 0.0, 1.0)) if misfit > 0 else 0.0
+            for fit in (both, angle, velocity)
+        ]
+        p_values = 2 * stats.norm.sf(np.abs(both.torque) / np.maximum(both.errors, 1e-300))
+        flags = scene.significant(p_values)
+        by_angle, by_velocity = (
+            Curve(knots[k], both.torque[part], both.errors[part], flags[part], shares[1 + k])
+            for k, part in enumerate((slice(0, _KNOTS), slice(_KNOTS, None)))
+        )
+        found = p_value <= scene.level
+        return cls(found, scene.noise.known, by_angle, by_velocity, shares[0], p_value)
 
-    A torque f(angle) + g(velocity), both piecewise linear, acts on the joint that the model says it
-    is (with the candidate's K, B and I), and the response to it is fitted to the whitened residual
-    together with changes of K, B and I and of the trials' levels. This needs no second derivative
-    of the measured angle. A torque over the plane of both is not determined by transients, each of
-    which visits one line in it.
-    """
-    motions = [
-        _motion(ready, left)
-        for ready, left in zip(scene.parts, scene.candidate.fitted.by_trial, strict=True)
-    ]
-    knots = [_knots(np.concatenate([motion[k] for motion in motions])) for k in (0, 1)]
-    _, slopes = scene.refits.linearised(scene.refits.values)
-    values, nuisance, forced = [], [], []
-    often = np.zeros(2 * _KNOTS)
-    for i, (ready, b) in enumerate(scene.observed):
-        hats = np.column_stack([_hats(x, k) for x, k in zip(motions[i], knots, strict=True)])
-        often += np.sum(hats[b.index[:, 0]] ** 2, axis=0)
-        forced.append(scene.noise.averaged(i, _response_to(scene, ready, hats), b.index))
-        levels = np.zeros((len(b.values), len(scene.parts)))
-        ones = np.ones((len(hats), 1))
-        levels[:, i] = scene.noise.averaged(i, ones, b.index)[:, 0]
-        nuisance.append(np.column_stack([scene.noise.averaged(i, slopes[i], b.index), levels]))
-        values.append(b.values)
-    taken = _span(np.concatenate(nuisance))
-    design, left = (
-        rows - taken @ (taken.T @ rows) for rows in map(np.concatenate, (forced, values))
+    def words(self) -> str:
+        """What share of the misfit a torque of the present state would explain."""
+        if self.angle is None or self.velocity is None:
+            return "The trials visit too few states to tell where in them the model fails."
+        if not self.significant:
+            return (
+                "No torque that depends on angle and velocity alone is missing "
+                f"({probability(self.p_value)})."
+            )
+        return (
+            "A torque that depends on the present angle and velocity would explain "
+            f"{100 * self.share:.0f} % of the misfit, one that depends on the angle alone "
+            f"{100 * self.angle.share:.0f} %, on the velocity alone "
+            f"{100 * self.velocity.share:.0f} %."
+        )
+
+    def panels(self) -> tuple[Panel, ...]:
+        """The torque by angle, and by velocity."""
+        curves = {"angle [rad]": self.angle, "velocity [rad/s]": self.velocity}
+        return tuple(
+            Panel(f"by {what.split()[0]}", partial(_draw, curve, what, self.significant))
+            for what, curve in curves.items()
+            if curve is not None
+        )
+
+
+def _draw(curve: Curve, what: str, explains: bool, panel: Axes) -> None:
+    panel.axhline(0, color=GREY, lw=0.8)
+    panel.errorbar(
+        curve.at, curve.torque, INTERVAL * curve.errors, color=BLUE, lw=1.4, elinewidth=1.2
     )
-    misfit = float(left @ left) - (left.size - taken.shape[1])
-    both, angle, velocity = (
-        _regression(left, design, knots, often, parts) for parts in ((0, 1), (0,), (1,))
-    )
-    if not both.rank:
-        reason = "The trials visit too few states to tell where in them the model fails."
-        return StateView(False, reason, None, None, 0.0, 1.0)
-    owner = np.repeat(np.arange(len(scene.parts)), [len(b.values) for b in scene.blocks])
-    numbers = np.bincount(owner, both.leverage, len(scene.parts))
-    portions = [
-        Portion(float(n), 0.0, float(dof)) for n, dof in zip(numbers, scene.noise.dof, strict=True)
-    ]
-    p_value = excess(both.gained, portions, scene.slow_slack)[1]
-    shares = [
-        float(np.clip((fit.gained - fit.rank) / misfit, 0.0, 1.0)) if misfit > 0 else 0.0
-        for fit in (both, angle, velocity)
-    ]
-    p_values = 2 * stats.norm.sf(np.abs(both.torque) / np.maximum(both.errors, 1e-300))
-    flags = scene.significant(p_values)
-    curves = [
-        Curve(knots[k], both.torque[part], both.errors[part], flags[part], shares[1 + k])
-        for k, part in enumerate((slice(0, _KNOTS), slice(_KNOTS, None)))
-    ]
-    if p_value > scene.level:
-        chance = probability(p_value)
-        sentence = f"No torque that depends on angle and velocity alone is missing ({chance})."
-        return StateView(False, sentence, curves[0], curves[1], 0.0, p_value)
-    sentence = (
-        "A torque that depends on the present angle and velocity would explain "
-        f"{100 * shares[0]:.0f} % of the misfit, one that depends on the angle alone "
-        f"{100 * shares[1]:.0f} %, on the velocity alone {100 * shares[2]:.0f} %."
-    )
-    return StateView(True, sentence, curves[0], curves[1], shares[0], p_value)
+    points(panel, curve.at, curve.torque, curve.flags)
+    panel.set_xlabel(what)
+    panel.set_ylabel("unexplained torque [Nm]")
+    if explains:
+        panel.annotate(
+            f"explains {100 * curve.share:.0f} % of the misfit",
+            (0.98, 0.98),
+            xycoords="axes fraction",
+            ha="right",
+            va="top",
+            fontsize=9,
+        )
+        low, high = panel.get_ylim()
+        panel.set_ylim(low, high + 0.15 * (high - low))
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,7 +237,7 @@ def _hats(values: np.ndarray, knots: np.ndarray) -> np.ndarray:
     return np.column_stack([np.interp(values, knots, row) for row in np.eye(knots.size)])
 
 
-def _motion(ready: Ready, left: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _motion(ready: Prepared, left: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Angle and velocity at the compared samples; of an imposed torque, as the model has them."""
     if ready.trial.driven == "angle":
         signals = ready.drive.signals[ready.first : ready.last]
@@ -198,7 +246,7 @@ def _motion(ready: Ready, left: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return angle, np.gradient(angle, ready.drive.interval)
 
 
-def _response_to(scene: Scene, ready: Ready, torque: np.ndarray) -> np.ndarray:
+def _response_to(scene: Scene, ready: Prepared, torque: np.ndarray) -> np.ndarray:
     """Change of the response to additional resisting torques, shape (n, k)."""
     if ready.trial.driven == "angle":
         return torque

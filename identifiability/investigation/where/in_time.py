@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, ClassVar, Self
 
 import numpy as np
 
 from identifiability.investigation.fits.refits import UNKNOWN_LEVEL, without_levels
-from identifiability.investigation.where.compare import plain, probability
-from identifiability.investigation.where.scene import Scene, View, bin_of, share, time_edges
+from identifiability.investigation.where.drawing import curve, points, ratios_by_time, room_above
+from identifiability.investigation.where.numerals import probability, short
+from identifiability.investigation.where.scene import Scene, bin_of, share, time_edges
+from identifiability.investigation.where.view import Panel, View
 from identifiability.investigation.where.whitening import excess
+from identifiability.palette import BLUE, VERMILLION
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 _LATENCY_BIN, _LONGEST_LATENCY = 0.01, 0.4  # seconds in which an onset of the misfit is looked for
 
@@ -31,40 +38,75 @@ class TimeView(View):
         two bins in a row after it cannot be joined.
     """
 
+    name: ClassVar[str] = "time"
+
     edges: np.ndarray
     ratio: np.ndarray
     p_values: np.ndarray
     flags: np.ndarray
     latency: float | None
 
+    @classmethod
+    def of(cls, scene: Scene) -> Self:
+        """Test the residual in bins of time since the perturbation, and look for its onset."""
+        edges = time_edges(scene, range(len(scene.parts)))
+        bins = [bin_of(b.time, edges) for b in scene.blocks]
+        n = edges.size - 1
+        ratio, p_values = np.ones(n), np.ones(n)
+        for k in range(n):
+            portions, total = share(scene, bins, k)
+            ratio[k], p_values[k] = excess(total, portions, scene.slack)
+        flags = scene.significant(p_values)
+        found = bool(flags.any())
+        latency = _latency(scene) if found else None
+        return cls(found, scene.noise.known, edges, ratio, p_values, flags, latency)
 
-def in_time(scene: Scene) -> TimeView:
-    """Test the residual in bins of time since the perturbation, and look for its onset."""
-    edges = time_edges(scene, range(len(scene.parts)))
-    bins = [bin_of(b.time, edges) for b in scene.blocks]
-    n = edges.size - 1
-    ratio, p_values = np.ones(n), np.ones(n)
-    for k in range(n):
-        portions, total = share(scene, bins, k)
-        ratio[k], p_values[k] = excess(total, portions, scene.slack)
-    flags = scene.significant(p_values)
-    latency = _latency(scene) if flags.any() else None
-    if not flags.any():
+    def words(self) -> str:
+        """When, and for how long K, B and I suffice."""
+        n = self.flags.size
+        if not self.significant:
+            return (
+                f"At no time after the perturbation does the residual exceed {self.reference} "
+                f"({n} bins, least {probability(float(self.p_values.min()))})."
+            )
+        worst = int(np.argmax(np.where(self.flags, self.ratio, 0.0)))
+        first, last = 1000 * self.edges[worst : worst + 2]
         sentence = (
-            f"At no time after the perturbation does the residual exceed {scene.reference} "
-            f"({n} bins, least {probability(float(p_values.min()))})."
+            f"The residual exceeds {self.reference} in {self.flags.sum()} of {n} bins of time, "
+            f"most from {first:.0f} to {last:.0f} ms after the perturbation "
+            f"({short(np.sqrt(self.ratio[worst]))} times in size)"
         )
-        return TimeView(False, sentence, edges, ratio, p_values, flags, None)
-    worst = int(np.argmax(np.where(flags, ratio, 0.0)))
-    sentence = (
-        f"The residual exceeds {scene.reference} in {flags.sum()} of {n} bins of time, most from "
-        f"{1000 * edges[worst]:.0f} to {1000 * edges[worst + 1]:.0f} ms after the perturbation "
-        f"({plain(np.sqrt(ratio[worst]))} times in size)"
-    )
-    if latency is not None:
-        first = f"for the first {1000 * latency:.0f} ms, no longer"
-        sentence += f"; K, B and I can account {first if latency else 'not even for its beginning'}"
-    return TimeView(True, sentence + ".", edges, ratio, p_values, flags, latency)
+        if self.latency is None:
+            return sentence + "."
+        if not self.latency:
+            return sentence + "; K, B and I can account not even for its beginning."
+        return (
+            f"{sentence}; K, B and I can account for the first {1000 * self.latency:.0f} ms, no "
+            "longer."
+        )
+
+    def panels(self) -> tuple[Panel, ...]:
+        """The residual's size by time."""
+        return (Panel("by time", self.draw, width=3),)
+
+    def draw(self, panel: Axes) -> None:
+        """Draw the residual's size by time, and up to when K, B and I suffice."""
+        sizes = np.sqrt(self.ratio)
+        curve(panel, self.edges, self.ratio, BLUE)
+        points(panel, 500 * (self.edges[:-1] + self.edges[1:]), sizes, self.flags)
+        ratios_by_time(panel, float(sizes.max()), self.noise_known)
+        if self.latency:
+            room_above(panel, 2.0, 1.0)
+            panel.axvline(1000 * self.latency, color=VERMILLION, lw=1.4)
+            panel.annotate(
+                f"K, B and I suffice until {1000 * self.latency:.0f} ms",
+                (1000 * self.latency, 0.98),
+                xycoords=("data", "axes fraction"),
+                xytext=(5, 0),
+                textcoords="offset points",
+                color=VERMILLION,
+                va="top",
+            )
 
 
 def _latency(scene: Scene) -> float | None:

@@ -10,26 +10,11 @@ from scipy import stats
 
 from identifiability.investigation.fits.candidate import Candidate
 from identifiability.investigation.fits.refits import Refits
-from identifiability.investigation.split import Ready
 from identifiability.investigation.where.imposed import Imposed
 from identifiability.investigation.where.whitening import Blocks, Portion, Whitening, excess
+from identifiability.measurement.prepared import Prepared
 
 _WIDTHS, _MOST_BINS = (0.01, 0.02), 60  # of the bins in time [s], and their number
-
-
-@dataclass(frozen=True, eq=False)
-class View:
-    """What every view has.
-
-    Attributes
-    ----------
-    significant : bool
-    sentence : str
-        What was found, or why the view is not possible.
-    """
-
-    significant: bool
-    sentence: str
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +23,7 @@ class Scene:
 
     Attributes
     ----------
-    parts : tuple of Ready
+    parts : tuple of Prepared
         The fitted trials.
     loads : tuple of Imposed
         What was imposed in each.
@@ -50,10 +35,10 @@ class Scene:
     blocks : tuple of Blocks
         Whitened residuals after the onsets, averaged in short blocks.
     level : float
-        False discovery rate.
+        False discovery rate within a view.
     """
 
-    parts: tuple[Ready, ...]
+    parts: tuple[Prepared, ...]
     loads: tuple[Imposed, ...]
     candidate: Candidate
     refits: Refits
@@ -71,11 +56,6 @@ class Scene:
         """The same at the lowest frequencies."""
         return self.noise.slack(np.zeros(1))
 
-    @property
-    def reference(self) -> str:
-        """What the residual is judged by."""
-        return "the noise" if self.noise.known else "its typical level (the noise is unknown)"
-
     def significant(self, p_values: np.ndarray) -> np.ndarray:
         """Which of several tests are, at the false discovery rate."""
         if not p_values.size:
@@ -83,7 +63,7 @@ class Scene:
         return np.asarray(stats.false_discovery_control(p_values) <= self.level)
 
     @property
-    def observed(self) -> list[tuple[Ready, Blocks]]:
+    def observed(self) -> list[tuple[Prepared, Blocks]]:
         """Trials with their blocks."""
         return list(zip(self.parts, self.blocks, strict=True))
 

@@ -16,8 +16,8 @@ import numpy as np
 from scipy import linalg, signal, stats
 
 from identifiability.investigation.fits.candidate import Residual
-from identifiability.investigation.split import Ready
 from identifiability.investigation.where.imposed import starts
+from identifiability.measurement.prepared import Prepared
 
 BLOCK = 0.005
 """Duration [s] that whitened residuals are averaged over."""
@@ -136,14 +136,14 @@ class Whitening:
         weight = np.cos(2 * np.pi * np.outer(frequency, lags)) @ (1 - np.abs(lags) / m)
         return self.slack(frequency, weight)
 
-    def blocks(self, trial: int, ready: Ready, residual: np.ndarray) -> Blocks:
+    def blocks(self, trial: int, ready: Prepared, residual: np.ndarray) -> Blocks:
         """A trial's residual by blocks; the samples before the first perturbation are left out.
 
         Parameters
         ----------
         trial : int
             Its number.
-        ready : Ready
+        ready : Prepared
         residual : array, shape (n,)
             Measured minus predicted response at the compared samples.
         """
@@ -167,12 +167,12 @@ class Whitening:
         return Portion(level.size, float(level @ level), float(self.dof[trial]))
 
 
-def whitening(part: Sequence[Ready], residual: Residual) -> Whitening:
+def whitening(part: Sequence[Prepared], residual: Residual) -> Whitening:
     """Noise of some trials, from their quiet leads or else from their residuals.
 
     Parameters
     ----------
-    part : sequence of Ready
+    part : sequence of Prepared
     residual : Residual
         What a model leaves of them.
     """
@@ -216,7 +216,7 @@ def _caution(covariance: np.ndarray) -> np.ndarray:
     return np.asarray(together / np.sqrt(max(float(together.sum()), 1e-300)))
 
 
-def _from_residuals(part: Sequence[Ready], residual: Residual) -> Whitening:
+def _from_residuals(part: Sequence[Prepared], residual: Residual) -> Whitening:
     floor = [1e-9 * np.sqrt(ready.mean_square) for ready in part]
     scaled = [
         r / max(float(np.sqrt(np.mean(r**2))), low)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Final
 
 from identifiability.errors import InputError
-from identifiability.measurement.tables import Table, number
+from identifiability.measurement.readers.tables import Options, Table, number
 
 # In the order of trial: a decimal comma only where a decimal point does not explain the lines.
 _FORMATS: Final = (
@@ -21,9 +22,10 @@ _FORMATS: Final = (
 )
 
 
-def text_table(content: bytes) -> Table:
+def read_text(path: Path, options: Options) -> Table:
     """Table of a text file, with its header's names where it has one."""
-    lines = re.split(r"\r\n|\r|\n", _decoded(content))
+    options.refuse_variable(path.suffix)
+    lines = re.split(r"\r\n|\r|\n", _decoded(path.read_bytes()))
     kept = [
         (row, line)
         for row, line in enumerate(lines, start=1)

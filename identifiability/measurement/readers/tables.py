@@ -1,8 +1,8 @@
-"""Columns of a file as they were written, and the numbers in them."""
+"""What a reader is given and what it gives: columns as they were written, and their numbers."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -11,8 +11,37 @@ from numpy.typing import NDArray
 
 from identifiability.errors import InputError
 from identifiability.measurement.trials import FloatArray
+from identifiability.measurement.units import Quantity
 
 EXAMPLE: Final = "--columns angle=0:rad torque=1:Nm"
+
+Columns = Mapping[Quantity, tuple[str | int, str]]
+"""Quantity -> (column, unit); a column is a name, or an index that counts from 0."""
+
+
+@dataclass(frozen=True)
+class Options:
+    """What the caller says about a file, beyond its name.
+
+    Attributes
+    ----------
+    variable : str or None
+        Variable to read, in files that hold several.
+    columns : mapping or None
+        Where angle, torque and time are, if that was said; a reader may need it to choose among
+        variables.
+    """
+
+    variable: str | None = None
+    columns: Columns | None = None
+
+    def refuse_variable(self, suffix: str) -> None:
+        """Refuse the name of a variable, for formats that hold none."""
+        if self.variable is not None:
+            raise InputError(
+                f"variable {self.variable!r} is named, but {suffix} files hold none, as .mat files "
+                "do: leave it out"
+            )
 
 
 @dataclass(frozen=True)

@@ -1,13 +1,17 @@
-"""Starts for the fits of candidate models, such that they do not get stuck."""
+"""Starts for the fits of joint models, such that they do not get stuck."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
+from scipy import signal
 
+from identifiability.inference.problem import Prior
 from identifiability.joint.model import Model
+from identifiability.measurement.perturbations import imposed_motion
+from identifiability.measurement.trials import Trial
 
 _FACTORS = (0.4, 1.0, 2.5)
 _MOST_STARTS = 6
@@ -56,3 +60,50 @@ def starting_values(
                 start["K"] *= softened
                 start["B"] *= softened**2
     return starts
+
+
+def plain_values(model: Model, refined: Sequence[str] = ()) -> dict[str, float]:
+    """Values that give effects their plain form, of those parameters that only refine them.
+
+    Parameters
+    ----------
+    model : Model
+    refined : sequence of str
+        Keys of the effects whose refining parameters are to be free.
+    """
+    return {
+        name: p.plain
+        for name, p in model.parameters.items()
+        if p.plain is not None and name.split(".")[0] not in refined
+    }
+
+
+def first_guess(trials: Sequence[Trial], prior: Prior) -> np.ndarray:
+    """K, B and I by linear regression of torque on the smoothed motion, within the bounds.
+
+    Parameters
+    ----------
+    trials : sequence of Trial
+    prior : Prior
+        Its first three bounds are those of K, B and I.
+
+    Returns
+    -------
+    array, shape (3,)
+    """
+    rows, targets = [], []
+    for trial in trials:
+        angle, torque = trial.angle, trial.torque
+        if trial.driven == "torque":
+            sos = signal.butter(
+                2, min(0.4 * trial.sampling_rate, 30.0), fs=trial.sampling_rate, output="sos"
+            )
+            pad = min(angle.size - 1, 3 * int(trial.sampling_rate / 30.0))
+            angle, torque = (signal.sosfiltfilt(sos, x, padlen=pad) for x in (angle, torque))
+        motion = imposed_motion(trial.time, angle).signals
+        scale = np.std(torque)
+        rows.append(np.column_stack([motion - motion.mean(axis=0)]) / scale)
+        targets.append((torque - torque.mean()) / scale)
+    guess = np.linalg.lstsq(np.concatenate(rows), np.concatenate(targets), rcond=None)[0]
+    lower, upper = prior.lower[:3], prior.upper[:3]
+    return np.clip(np.where(guess > 0, guess, [50.0, 1.0, 0.05]), lower, upper)

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import re
 import shlex
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Final
 
 from identifiability.errors import InputError
-from identifiability.measurement.tables import EXAMPLE, Table
+from identifiability.measurement.readers.tables import EXAMPLE, Columns, Table
 from identifiability.measurement.units import Quantity, parse_unit
-
-Columns = Mapping[Quantity, tuple[str | int, str]]
-"""Quantity -> (column, unit); a column is a name, or an index that counts from 0."""
 
 _SI: Final[dict[Quantity, str]] = {"time": "s", "angle": "rad", "torque": "Nm"}
 _NAMES: Final[dict[Quantity, frozenset[str]]] = {

@@ -1,4 +1,4 @@
-"""Files of measured torque and angle, read into trials."""
+"""From a file to a trial, whatever its format: columns, units, sign, an even clock."""
 
 from __future__ import annotations
 
@@ -13,11 +13,10 @@ import numpy as np
 from scipy import interpolate
 
 from identifiability.errors import InputError
-from identifiability.measurement.columns import Columns, checked, located
 from identifiability.measurement.filtering import HIGHEST_HZ
-from identifiability.measurement.matlab_files import mat_table, mat_variables
-from identifiability.measurement.tables import Table
-from identifiability.measurement.text_files import text_table
+from identifiability.measurement.readers.columns import checked, located
+from identifiability.measurement.readers.formats import READERS
+from identifiability.measurement.readers.tables import Columns, Options, Table
 from identifiability.measurement.trials import FloatArray, Trial
 from identifiability.measurement.units import parse_unit
 
@@ -25,9 +24,6 @@ MAX_JITTER: Final = 0.05
 """Largest relative departure of a time step from the median one that is resampled away."""
 
 _CLOCK_ROUNDING: Final = 1e-3  # of a step: a time column that was printed with few digits
-
-
-_TEXT_SUFFIXES: Final = (".csv", ".tsv", ".txt", ".dat")
 
 
 def read_trial(
@@ -40,7 +36,7 @@ def read_trial(
     driven: Literal["torque", "angle"] = "torque",
     name: str | None = None,
 ) -> Trial:
-    """Read one trial from a text file or a MATLAB file.
+    """Read one trial from a text file, a MATLAB file, or any format in `READERS`.
 
     Text files (.csv, .tsv, .txt, .dat) may be separated by comma, semicolon, tab or white space,
     with a decimal point or comma; lines that start with ``#`` are skipped. MATLAB files (.mat) may
@@ -87,7 +83,7 @@ def read_trial(
     # Absurdly large numbers overflow quietly here and are then refused as not finite.
     with np.errstate(over="ignore", invalid="ignore"):
         try:
-            table, sha256 = _load(path, variable, wanted)
+            table, sha256 = _load(path, Options(variable, wanted))
             if wanted is None:
                 wanted = located(table, rate)
             time, torque, angle, notes = _samples(table, wanted, rate)
@@ -110,14 +106,14 @@ def read_trial(
     return trial
 
 
-def _load(path: Path, variable: str | None, columns: Columns | None) -> tuple[Table, str]:
-    suffix = path.suffix.lower()
+def _load(path: Path, options: Options) -> tuple[Table, str]:
     if path.is_dir():
         raise InputError("this is a directory: give the path of one file")
-    if suffix not in (*_TEXT_SUFFIXES, ".mat"):
+    reader = READERS.get(path.suffix.lower())
+    if reader is None:
         raise InputError(
-            f"files with the suffix {suffix!r} are not read: give one of "
-            f"{', '.join(_TEXT_SUFFIXES)}, .mat"
+            f"files with the suffix {path.suffix.lower()!r} are not read: give one of "
+            f"{', '.join(READERS)}"
         )
     try:
         content = path.read_bytes()
@@ -127,14 +123,7 @@ def _load(path: Path, variable: str | None, columns: Columns | None) -> tuple[Ta
         raise InputError(f"the file cannot be opened: {error}") from None
     if not content:
         raise InputError("the file is empty (0 bytes)")
-    sha256 = hashlib.sha256(content).hexdigest()
-    if suffix == ".mat":
-        return mat_table(mat_variables(path), variable, columns), sha256
-    if variable is not None:
-        raise InputError(
-            f"variable {variable!r} is named, but only .mat files hold variables: leave it out"
-        )
-    return text_table(content), sha256
+    return reader(path, options), hashlib.sha256(content).hexdigest()
 
 
 _Samples = tuple[FloatArray, FloatArray, FloatArray, tuple[str, ...]]

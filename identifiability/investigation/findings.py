@@ -1,0 +1,64 @@
+"""What an investigation found, from trials to verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from identifiability.inference.widths import Widths
+from identifiability.investigation.next_experiment import NextExperiment
+from identifiability.investigation.search.found import Found
+from identifiability.investigation.split import Split
+from identifiability.investigation.unexplained.account import Unexplained
+from identifiability.investigation.verdict.judge import Verdict
+from identifiability.investigation.where.compare import Comparison
+from identifiability.investigation.where.locate import Location
+from identifiability.joint.effects import Effect
+
+
+@dataclass(frozen=True, eq=False)
+class Findings:
+    """What an investigation found.
+
+    Attributes
+    ----------
+    split : Split
+        The trials, fitted and held out.
+    found : Found
+        What the search for missing effects found.
+    comparison, location : Comparison, Location or None
+        Of the baseline model.
+    unexplained_before, unexplained_after : Unexplained or None
+        Library-free account of what the baseline and the final model leave.
+    widths : Widths or None
+        Of the final model's parameters.
+    verdict : Verdict
+    next_experiment : NextExperiment or None
+        ``None`` where no pair of effects is open.
+    library : mapping of str to type of Effect
+        Effects that were tried.
+    failures : mapping of str to str
+        Parts that could not be done, and why: these are ``None`` above.
+    remarks : tuple of str
+        What the trials did not allow.
+    seed : int
+    """
+
+    split: Split
+    found: Found
+    comparison: Comparison | None
+    location: Location | None
+    unexplained_before: Unexplained | None
+    unexplained_after: Unexplained
+    widths: Widths | None
+    verdict: Verdict
+    next_experiment: NextExperiment | None
+    library: Mapping[str, type[Effect]]
+    failures: Mapping[str, str]
+    remarks: tuple[str, ...]
+    seed: int
+
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """All that a reader must be told: what the trials did not allow, and failed parts."""
+        return (*self.remarks, *(f"{part}: {why}" for part, why in sorted(self.failures.items())))

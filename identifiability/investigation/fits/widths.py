@@ -1,0 +1,39 @@
+"""Every width of a fitted model's parameters."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from identifiability.inference.widths import Widths, widths
+from identifiability.investigation.fits.bench import Workbench, owners
+from identifiability.investigation.fits.candidate import Candidate
+from identifiability.measurement.noise import correlation_time
+
+
+def parameter_widths(bench: Workbench, candidate: Candidate, *, seed: int = 1) -> Widths:
+    """Every width of a fitted model's parameters, as of K, B and I.
+
+    The noise is the residual's, with its variance times its autocorrelation time.
+
+    Parameters
+    ----------
+    bench : Workbench
+    candidate : Candidate
+    seed : int
+    """
+    split = bench.split
+    problem = bench.problem(candidate.model, split.fitted, refined=candidate.refined)
+    noises = [
+        float(np.sqrt(np.mean(left**2) * correlation_time(left - left.mean())))
+        for left in candidate.fitted.by_trial
+    ]
+    sharpened = split.weights_sd(split.fitted) / np.maximum(noises, 1e-300)
+    observations = [
+        replace(o, scale=o.scale * sharpened[i])
+        for o, i in zip(problem.observations, owners(problem.observations), strict=True)
+    ]
+    sharper = replace(problem, observations=observations, exact_hessian=False)
+    start = candidate.model.vector(candidate.values)[list(problem.free)]
+    return widths(sharper, starts=start[None], seed=seed, referee=False, quick=True)

@@ -1,0 +1,190 @@
+"""The steps of an investigation by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from functools import cached_property
+from pathlib import Path
+
+from identifiability.inference.widths import Widths
+from identifiability.investigation.fits.baseline import (
+    fit_baseline,
+    leads_are_motion,
+    without_leads,
+)
+from identifiability.investigation.fits.bench import Workbench
+from identifiability.investigation.fits.candidate import Candidate
+from identifiability.investigation.fits.kept import KeepingWorkbench
+from identifiability.investigation.fits.widths import parameter_widths
+from identifiability.investigation.next_experiment import (
+    Limits,
+    NextExperiment,
+    next_experiment,
+    open_pair,
+)
+from identifiability.investigation.rules import Rules
+from identifiability.investigation.search.found import Found, Ranking
+from identifiability.investigation.search.search import rank, search
+from identifiability.investigation.search.smallest_seen import Detectable, detectable
+from identifiability.investigation.split import Split, gather
+from identifiability.investigation.unexplained.account import Unexplained, unexplained
+from identifiability.investigation.verdict.judge import Verdict, judge
+from identifiability.investigation.where.compare import Comparison, compare
+from identifiability.investigation.where.locate import Location, locate
+from identifiability.joint.effects import EFFECTS, Effect
+from identifiability.joint.model import KBI, Model
+from identifiability.measurement.filtering import Lowpass
+from identifiability.measurement.trials import Trial
+from identifiability.progress import Progress, silent
+
+_MOVING = (
+    "the joint already moves before the first onset, as K, B and I say it should: the noise is not"
+    " known from there"
+)
+
+
+class Investigation:
+    """Trials of a perturbed joint, and what can be asked of them.
+
+    Every answer depends on its arguments and the trials alone, not on what was asked before.
+
+    Parameters
+    ----------
+    trials : sequence of Trial
+        All driven alike.
+    held_out : sequence of Trial
+        Trials, best of other conditions, that no model is fitted to; chosen by itself if empty.
+    model : Model, optional
+        The model to start from; ``KBI()`` by default.
+    library : mapping of str to type of Effect, optional
+        Effects that may be missing; the registry's by default. Add your own:
+        ``EFFECTS | {MyEffect.key: MyEffect}``.
+    bounds : mapping of str to (float, float)
+        Other bounds than the physical ones, by parameter name.
+    lowpass_hz : float, "auto" or None
+        Zero-phase low-pass [Hz] of both channels where the angle is imposed; "auto" is the usual
+        one, or that above which the angle is but noise (`noise_cutoff`).
+    rules : Rules, optional
+        Conventions that decisions go by.
+    kept : Path, optional
+        Folder in which every fit is kept as soon as it is done; the same investigation, run again,
+        reads them (see `KeepingWorkbench`).
+    progress : callable
+        Told ``(what, done, total)``.
+
+    Attributes
+    ----------
+    bench : Workbench
+    remarks : tuple of str
+        What the trials did not allow.
+
+    Examples
+    --------
+    >>> study = Investigation(trials)                    # doctest: +SKIP
+    >>> kbi = study.fit(KBI())                           # doctest: +SKIP
+    >>> study.rank(kbi).chosen                           # doctest: +SKIP
+    'stretch_reflex'
+    >>> better = study.fit(KBI() + StretchReflex())      # doctest: +SKIP
+    """
+
+    def __init__(
+        self,
+        trials: Sequence[Trial],
+        held_out: Sequence[Trial] = (),
+        *,
+        model: Model | None = None,
+        library: Mapping[str, type[Effect]] | None = None,
+        bounds: Mapping[str, tuple[float, float]] | None = None,
+        lowpass_hz: Lowpass = "auto",
+        rules: Rules | None = None,
+        kept: Path | None = None,
+        progress: Progress = silent,
+    ) -> None:
+        self.model = KBI() if model is None else model
+        self.library = dict(EFFECTS if library is None else library)
+        self.progress = progress
+        split = gather(trials, held_out, lowpass_hz=lowpass_hz, rules=rules)
+        others = dict(bounds or {})
+        self.bench = (
+            Workbench(split, others)
+            if kept is None
+            else KeepingWorkbench(split, others, folder=kept)
+        )
+        self.remarks: tuple[str, ...] = ()
+        if leads_are_motion(self.bench):
+            self.bench, self.remarks = without_leads(self.bench), (_MOVING,)
+
+    @property
+    def split(self) -> Split:
+        """Trials that models are fitted to, and those they are judged on."""
+        return self.bench.split
+
+    @cached_property
+    def baseline(self) -> Candidate:
+        """The model to start from, fitted."""
+        return self.fit(self.model)
+
+    def fit(self, model: Model, *, refined: bool = False) -> Candidate:
+        """Fit a model to the trials that are not held out.
+
+        Parameters
+        ----------
+        model : Model
+        refined : bool
+            Whether parameters that refine an effect are free too.
+        """
+        return fit_baseline(self.bench, model, refined=refined)
+
+    def compare(self, candidate: Candidate) -> Comparison:
+        """How well a model fits, and whether its K, B and I are constants."""
+        return compare(self.bench, candidate)
+
+    def locate(self, candidate: Candidate) -> Location:
+        """Where a model fails: in time, frequency, state, amplitude, direction, trial."""
+        return locate(self.bench, candidate)
+
+    def unexplained(self, candidate: Candidate, *, seed: int = 1) -> Unexplained:
+        """What a model leaves, as a torque of which nothing is assumed but its family."""
+        return unexplained(self.bench, candidate, seed=seed)
+
+    def rank(self, candidate: Candidate) -> Ranking:
+        """Add every effect of the library to a model, refit, and rank."""
+        return rank(self.bench, candidate, self.baseline, self.library, progress=self.progress)
+
+    def search(self, *, most: int | None = None) -> Found:
+        """Add, drop and swap effects for as long as the evidence is decisive.
+
+        Parameters
+        ----------
+        most : int, optional
+            Most effects to add; the rules' number by default.
+        """
+        return search(self.bench, self.baseline, self.library, most=most, progress=self.progress)
+
+    def widths(self, candidate: Candidate, *, seed: int = 1) -> Widths:
+        """Every width of a fitted model's parameters, as of K, B and I."""
+        return parameter_widths(self.bench, candidate, seed=seed)
+
+    def smallest_seen(self, candidate: Candidate) -> tuple[Detectable, ...]:
+        """Smallest effects that would have been seen beside a fitted model."""
+        return detectable(self.bench, candidate, self.library)
+
+    def judge(
+        self, found: Found, rest: Unexplained, smallest_seen: Sequence[Detectable] = ()
+    ) -> Verdict:
+        """What a search and an account of what it left allow to say."""
+        return judge(self.split, found, rest, smallest_seen, self.library)
+
+    def next_experiment(
+        self,
+        found: Found,
+        verdict: Verdict,
+        *,
+        limits: Limits | None = None,
+        seed: int = 1,
+    ) -> NextExperiment | None:
+        """Perturbation that would tell apart what these data cannot; ``None`` if none is open."""
+        pair = open_pair(found, verdict)
+        if pair is None:
+            return None
+        return next_experiment(self.bench, found.final, *pair, limits=limits, seed=seed)

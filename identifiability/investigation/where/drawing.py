@@ -1,0 +1,79 @@
+"""What the panels of several views share; axes are handed in, so no plotter is imported."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from identifiability.palette import BLUE, GREY
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+INTERVAL = 1.96
+"""Standard errors of a 95 % interval of a Gaussian."""
+MOST_LABELS = 12
+"""Values that are written beside as many bars; twice as many names fit below them."""
+_LOGARITHMIC = 5.0  # ratio from which an axis is
+_LONG = 40  # letters of all names together from which they are turned
+
+
+def curve(panel: Axes, edges: np.ndarray, ratio: np.ndarray, colour: str, label: str = "") -> None:
+    """Draw the root of mean squares in bins of the time since the perturbation [s]."""
+    panel.stairs(np.sqrt(ratio), 1000 * edges, color=colour, lw=1.8, label=label, baseline=None)
+
+
+def points(panel: Axes, x: np.ndarray, y: np.ndarray, flags: np.ndarray, size: float = 5) -> None:
+    """Draw points, filled where they are flagged."""
+    panel.plot(x[flags], y[flags], "o", color=BLUE, ms=size)
+    panel.plot(x[~flags], y[~flags], "o", color=BLUE, ms=size, mfc="white")
+
+
+def unity(panel: Axes) -> None:
+    """Draw the line at which the residual is as large as what it is judged by."""
+    panel.axhline(1.0, color=GREY, lw=1.0, ls="--")
+
+
+def is_logarithmic(largest: float) -> bool:
+    """Whether ratios up to this one need a logarithmic axis."""
+    return largest > _LOGARITHMIC
+
+
+def ratios_by_time(panel: Axes, largest: float, noise_known: bool) -> None:
+    """Make axes ready for ratios of sizes against the time since the perturbation."""
+    unity(panel)
+    if is_logarithmic(largest):
+        panel.set_yscale("log")
+    else:
+        panel.set_ylim(0, 1.15 * max(largest, 1.5))
+    panel.set_ylabel(f"residual / {'noise' if noise_known else 'typical'}, r.m.s.")
+    panel.set_xlabel("time since the perturbation [ms]")
+
+
+def room_above(panel: Axes, logarithmic: float, linear: float) -> None:
+    """Stretch the vertical axis upward by one factor or the other."""
+    low, high = panel.get_ylim()
+    panel.set_ylim(low, high * (logarithmic if panel.get_yscale() == "log" else linear))
+
+
+def legend_above(panel: Axes) -> None:
+    """Draw the legend above the curves."""
+    room_above(panel, 4.0, 1.3)
+    panel.legend(loc="upper right")
+
+
+def label_below(panel: Axes, names: Sequence[str], turned: bool = False) -> None:
+    """Write names at the bottom, turned where they are long, thinned out where they are many."""
+    step = -(-len(names) // (2 * MOST_LABELS))
+    place = np.arange(0, len(names), step)
+    long = turned or len(names) * max(len(name) for name in names) > _LONG
+    panel.set_xticks(
+        place,
+        [names[k] for k in place.tolist()],
+        rotation=40 if long else 0,
+        ha="right" if long else "center",
+        rotation_mode="anchor",
+        fontsize=9,
+    )

@@ -1,0 +1,1 @@
+"""What was found, in sentences: from results to words, and nowhere else."""

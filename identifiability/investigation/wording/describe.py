@@ -1,0 +1,71 @@
+"""Any result of an investigation, in sentences."""
+
+from __future__ import annotations
+
+from functools import singledispatch
+
+from identifiability.errors import InputError
+from identifiability.investigation.findings import Findings
+from identifiability.investigation.next_experiment import NextExperiment
+from identifiability.investigation.unexplained.account import Unexplained
+from identifiability.investigation.where.compare import Comparison
+from identifiability.investigation.where.locate import Location
+from identifiability.investigation.wording.comparison import comparison_sentences
+from identifiability.investigation.wording.next_experiment import next_experiment_sentence
+from identifiability.investigation.wording.unexplained import unexplained_sentence
+from identifiability.investigation.wording.verdict import because, verdict_sentence
+
+
+@singledispatch
+def describe(result: object) -> tuple[str, ...]:
+    """Say in sentences what was found.
+
+    Parameters
+    ----------
+    result : Comparison, Location, Unexplained, NextExperiment or Findings
+
+    Returns
+    -------
+    tuple of str
+        One sentence an aspect of a comparison or a view of a location; one on what is left or on
+        the next experiment; of findings the verdict and then its reasons.
+
+    Raises
+    ------
+    InputError
+        For anything else.
+
+    Examples
+    --------
+    >>> for sentence in describe(study.locate(kbi)):     # doctest: +SKIP
+    ...     print(sentence)
+    """
+    raise InputError(
+        f"found {type(result).__name__}, expected what an investigation found: Findings, or a "
+        "Comparison, Location, Unexplained or NextExperiment, such as study.compare(candidate)"
+    )
+
+
+@describe.register
+def _(result: Comparison) -> tuple[str, ...]:
+    return comparison_sentences(result)
+
+
+@describe.register
+def _(result: Location) -> tuple[str, ...]:
+    return result.sentences
+
+
+@describe.register
+def _(result: Unexplained) -> tuple[str, ...]:
+    return (unexplained_sentence(result),)
+
+
+@describe.register
+def _(result: NextExperiment) -> tuple[str, ...]:
+    return (next_experiment_sentence(result),)
+
+
+@describe.register
+def _(result: Findings) -> tuple[str, ...]:
+    return (verdict_sentence(result), *because(result))

@@ -1,0 +1,21 @@
+"""The next experiment in words."""
+
+from __future__ import annotations
+
+from identifiability.investigation.next_experiment import NextExperiment
+
+
+def next_experiment_sentence(following: NextExperiment) -> str:
+    """Which perturbation to use, and what it would bring."""
+    first, second = (key.replace("_", " ") for key in following.pair)
+    best, needed = following.best, following.needed
+    if following.resolved:
+        return (
+            f"To tell {first} from {second}: {best.perturbation} (expected evidence "
+            f"{best.expected_evidence:.0f} a trial, {needed:.0f} is enough)."
+        )
+    return (
+        f"No single perturbation within the limits tells {first} from {second}; the best is "
+        f"{best.perturbation}, with an expected evidence of {best.expected_evidence:.1f} a trial: "
+        f"about {following.repetitions} repetitions would do."
+    )

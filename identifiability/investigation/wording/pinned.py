@@ -1,0 +1,18 @@
+"""Parameters that the data leave open, in words."""
+
+from __future__ import annotations
+
+from identifiability.investigation.verdict.pinned import Loose
+from identifiability.joint.parameters import with_unit
+
+
+def loose_sentence(loose: Loose) -> str:
+    """How a parameter is left open."""
+    name = loose.name.replace("_", " ")
+    upper = with_unit(f"{loose.high:.3g}", loose.unit)
+    if loose.how == "nothing":
+        return f"{name} is small, or nothing at all: at most {upper} (95 %)."
+    if loose.how == "wide":
+        return f"{name} is hardly known: anywhere from {loose.low:.3g} to {upper} (95 %)."
+    sides = "below or above" if loose.how == "both" else loose.how
+    return f"The data do not bound {name} {sides}."

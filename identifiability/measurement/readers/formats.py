@@ -1,0 +1,62 @@
+"""The formats that are read, by suffix: a reader is one file and one line here."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from identifiability.errors import InputError
+from identifiability.measurement.readers.matlab import read_matlab
+from identifiability.measurement.readers.tables import Options, Table
+from identifiability.measurement.readers.text import read_text
+
+Reader = Callable[[Path, Options], Table]
+"""Reads a file, which exists and is not empty, as a table of named or numbered columns.
+
+It raises `InputError` with one sentence that says what was found, what is expected and how to mend
+it; the file's name is put before it. Units, sign, sampling and the choice of columns are none of
+its business: they are treated alike for every format.
+"""
+
+READERS: dict[str, Reader] = {
+    ".csv": read_text,
+    ".tsv": read_text,
+    ".txt": read_text,
+    ".dat": read_text,
+    ".mat": read_matlab,
+}
+"""Suffix in lower case -> reader.
+
+Examples
+--------
+A format of one's own, here of numbers in pairs, angle [deg] and torque [Nm]:
+
+>>> import numpy as np
+>>> def read_pairs(path, options):
+...     angle, torque = np.fromfile(path).reshape(-1, 2).T
+...     return Table((angle, torque), ("angle_deg", "torque_Nm"), range(1, angle.size + 1))
+>>> READERS[".pairs"] = read_pairs                            # doctest: +SKIP
+>>> trial = read_trial("knee.pairs", rate=1000)               # doctest: +SKIP
+"""
+
+
+def readable_files(paths: Sequence[Path]) -> list[Path]:
+    """Files as named, folders replaced by the files in them that can be read, sorted by name.
+
+    Raises
+    ------
+    InputError
+        If nothing in a folder can be read.
+    """
+    found: list[Path] = []
+    for path in paths:
+        if not path.is_dir():
+            found.append(path)
+            continue
+        inside = sorted(f for f in path.iterdir() if f.suffix.lower() in READERS and f.is_file())
+        if not inside:
+            raise InputError(
+                f"found none of {', '.join(READERS)} in the folder {path}; name files, one a trial"
+            )
+        found += inside
+    return found
