@@ -6,7 +6,6 @@ import argparse
 import shutil
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -24,7 +23,7 @@ from identifiability.cli.options import (
 from identifiability.errors import InputError
 
 if TYPE_CHECKING:
-    pass
+    from identifiability.progress import Progress
 
 
 def add_parser(commands: Any) -> None:
@@ -66,6 +65,7 @@ def add_parser(commands: Any) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the subcommand."""
     from identifiability.files import output_folder
+    from identifiability.investigation.fits.kept import kept_fits
     from identifiability.investigation.investigate import investigate
     from identifiability.measurement.readers import readable_files
     from identifiability.report.investigation import investigation_text, write_investigation
@@ -84,7 +84,7 @@ def run(options: argparse.Namespace) -> int:
     limits = _limits(options.limits, [*trials, *held_out])
     out = output_folder(options.out)
     fits = out / "fits"
-    if n_fits := sum(1 for _ in fits.glob("*.npz")):
+    if n_fits := len(kept_fits(fits)):
         print(f"{n_fits} fits of a run that was stopped are not done again", file=sys.stderr)
     findings = investigate(
         trials,
@@ -129,7 +129,7 @@ def _limits(texts: list[str], trials: list[Any]) -> Any:
     return Limits(**limits)
 
 
-def _clock() -> Callable[[str, int, int], None]:
+def _clock() -> Progress:
     began = time.monotonic()
 
     def announce(what: str, done: int, total: int) -> None:

@@ -19,6 +19,7 @@ from identifiability.measurement.noise import Noise, correlation_time
 from identifiability.measurement.prepared import Prepared, prepare
 from identifiability.measurement.splitting import Parts, Rule, hold_out
 from identifiability.measurement.trials import Trial
+from identifiability.progress import Progress, silent
 
 _STARTS = 6
 _EVALUATIONS = 60  # from each start, of a model with effects
@@ -286,7 +287,7 @@ def fit_recordings(
     lowpass_hz: Lowpass = "auto",
     refined: bool = False,
     seed: int = 1,
-    progress: Callable[[str, int, int], None] = lambda what, done, total: None,
+    progress: Progress = silent,
 ) -> RecordingFit:
     """Fit a joint model to recorded trials, with every width, by window and held out.
 
