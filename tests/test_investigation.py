@@ -52,7 +52,7 @@ def trials(model, values, seed=1, noise=1e-3, conditions=None):
     out = []
     for i, (kind, size) in enumerate(conditions):
         drive = SampledTorque(torque(kind, size)).drive(TIME)
-        angle = simulate(model, theta, drive, substeps=None if model.linear else 2)
+        angle = simulate(model, theta, drive)
         sd = noise * np.sqrt(np.mean(angle**2))
         noisy = angle + sd * rng.standard_normal(angle.size)
         out.append(Trial(TIME, torque(kind, size), noisy, name=f"t{i}", condition=kind))

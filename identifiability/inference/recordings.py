@@ -205,7 +205,6 @@ def recording_problem(
     model: Model,
     prior: Prior,
     noises: Sequence[Noise] | None = None,
-    substeps: int | None = None,
 ) -> Problem:
     """Problem of fitting a model to selected samples of trials.
 
@@ -219,8 +218,6 @@ def recording_problem(
     noises : sequence of Noise, optional
         One a trial. By default each trial weighs by its own energy, as the error E does, so that
         ``2 * cost`` is the sum of the trials' errors E.
-    substeps : int, optional
-        For models without exact response.
 
     Returns
     -------
@@ -242,7 +239,7 @@ def recording_problem(
                 segment=selection.segment,
             )
         )
-    return Problem(model, observations, prior, substeps=substeps)
+    return Problem(model, observations, prior)
 
 
 @dataclass(frozen=True)

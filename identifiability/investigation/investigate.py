@@ -200,7 +200,9 @@ class Investigation:
 
         The noise is the residual's, with its variance times its autocorrelation time.
         """
-        problem = self.bench.problem(candidate.model, self.split.fitted, refined=candidate.refined)
+        problem = self.bench.problem(
+            candidate.model, self.split.fitted, refined=candidate.refined, scheme=candidate.scheme
+        )
         noises = [
             float(np.sqrt(np.mean(left**2) * integrated_autocorrelation(left)))
             for left in candidate.fitted.by_trial

@@ -15,6 +15,7 @@ from identifiability.investigation.fits.starts import starting_values
 from identifiability.investigation.search.gate import DECISIVE
 from identifiability.joint.effects.base import Effect
 from identifiability.joint.model import Model
+from identifiability.joint.scheme import Scheme
 
 _HALVINGS = 12
 
@@ -60,7 +61,7 @@ def detectable(
     library : mapping of str to type of Effect
     """
     split = bench.split
-    problem = bench.problem(candidate.model, split.fitted)
+    problem = bench.problem(candidate.model, split.fitted, scheme=candidate.scheme)
     theta = candidate.model.vector(candidate.values)[list(problem.free)]
     basis, _ = np.linalg.qr(problem.jacobian(theta))
     before = problem.residuals(theta)
@@ -108,8 +109,9 @@ def _smallest(
 
     def seen(size: float) -> bool:
         values = shape | dict.fromkeys(sizes[1:], 0.0) | {measure: size}
-        theta = model.vector(values)[list(problem.free)]
-        change = problem.residuals(theta) - before
+        theta = model.vector(values)
+        suited = problem.with_scheme(Scheme.for_model(model, theta, problem.interval))
+        change = suited.residuals(theta[list(problem.free)]) - before
         left = change - basis @ (basis.T @ change)
         return bool(scale * left @ left > needed)
 
