@@ -67,7 +67,7 @@ def responses(model, values=(), loads=LOADS):
     out = []
     for kind, amplitude in loads:
         drive = SampledTorque(torque_of(kind, amplitude)).drive(TIME)
-        out.append(simulate(model, theta, drive, substeps=None if model.linear else 1))
+        out.append(simulate(model, theta, drive))
     return out
 
 

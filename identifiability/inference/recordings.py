@@ -155,7 +155,6 @@ def recording_problem(
         observations,
         prior,
         fixed=plain_values(model, model.effect_keys if refined else ()),
-        substeps=None if model.linear else 1,
         exact_hessian=not model.effects,
     )
 

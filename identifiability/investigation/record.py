@@ -166,6 +166,8 @@ def _ranked(ranked: Ranked) -> dict[str, Any]:
         "fitted_to_the_end": candidate.thorough,
         "starts_agreeing": candidate.n_agreeing,
         "starts": candidate.n_starts,
+        "integration": str(candidate.scheme),
+        "solver_error": candidate.solver_error,
     }
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ from identifiability.files import read_arrays, write_arrays
 from identifiability.investigation.fits.bench import Workbench
 from identifiability.investigation.fits.candidate import Candidate, Residual
 from identifiability.joint.model import Model
+from identifiability.joint.scheme import Scheme
 from identifiability.provenance import code_fingerprint, fingerprint
 
 
@@ -83,6 +84,8 @@ def _to_arrays(candidate: Candidate) -> dict[str, np.ndarray]:
         "refined": candidate.refined,
         "thorough": candidate.thorough,
         "seconds": candidate.seconds,
+        "scheme": None if candidate.scheme is None else asdict(candidate.scheme),
+        "solver_error": candidate.solver_error,
     }
     arrays = {"candidate": np.array(json.dumps(plain))}
     for name in ("fitted", "held_out"):
@@ -98,6 +101,8 @@ def _from_arrays(model: Model, arrays: Mapping[str, np.ndarray]) -> Candidate:
     plain: dict[str, Any] = json.loads(str(arrays["candidate"]))
     for name in ("free", "at_bound", "reached", "refined"):
         plain[name] = tuple(plain[name])
+    if plain["scheme"] is not None:
+        plain["scheme"] = Scheme(**plain["scheme"])
     fitted, held_out = (_residual(name, arrays) for name in ("fitted", "held_out"))
     return Candidate(model, fitted=fitted, held_out=held_out, **plain)
 

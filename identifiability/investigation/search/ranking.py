@@ -79,7 +79,9 @@ class Ranker:
         if not current.keys or len(keys) <= _SCREENED:
             return list(keys)
         fitted = self.bench.split.fitted
-        problem = self.bench.problem(current.model, fitted, refined=current.refined)
+        problem = self.bench.problem(
+            current.model, fitted, refined=current.refined, scheme=current.scheme
+        )
         theta = current.model.vector(current.values)[list(problem.free)]
         basis, _ = np.linalg.qr(problem.jacobian(theta))
         left = _outside(basis, problem.residuals(theta))
