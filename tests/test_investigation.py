@@ -18,7 +18,7 @@ from identifiability.investigation.rules import Rules
 from identifiability.investigation.search.equivalence import comes_near, could_be
 from identifiability.investigation.search.fitter import Fitter
 from identifiability.investigation.search.gate import Gate, Ranked
-from identifiability.investigation.search.ranking import Ranker, silent
+from identifiability.investigation.search.ranking import Ranker
 from identifiability.investigation.search.rivals import Rivals
 from identifiability.investigation.session import Investigation
 from identifiability.investigation.split import Split, gather
@@ -37,6 +37,7 @@ from identifiability.joint.parameters import Parameter
 from identifiability.joint.response import simulate
 from identifiability.measurement.perturbations import SampledTorque
 from identifiability.measurement.trials import Trial
+from identifiability.progress import silent
 
 
 class LateSpring(Effect):
