@@ -6,7 +6,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from identifiability.cli.fit import record as record_of
 from identifiability.cli.main import main
 from identifiability.inference.fitting import fit
 from identifiability.inference.problem import Prior
@@ -17,6 +16,7 @@ from identifiability.inference.recordings import (
     whole,
     windows,
 )
+from identifiability.inference.records import fit_record as record_of
 from identifiability.investigation.investigate import Investigation
 from identifiability.joint.model import KBI
 from identifiability.measurement import example
