@@ -15,7 +15,7 @@ from identifiability.investigation.fits.kept import KeepingWorkbench
 from identifiability.investigation.investigate import investigate
 from identifiability.investigation.record import investigation_record
 from identifiability.investigation.split import gather
-from identifiability.joint.effects import EFFECTS, SeriesTendon
+from identifiability.joint.effects import EFFECTS, CubicStiffness, SeriesTendon
 from identifiability.joint.model import KBI
 
 MODEL = KBI() + SeriesTendon()
@@ -89,6 +89,38 @@ def test_a_fit_of_other_code_is_not_read(tmp_path, split, fits, monkeypatch):
     assert_same(first, KeepingWorkbench(split, folder=tmp_path).fit(KBI(), [JOINT]))
     assert len(fits) == 2
     assert len(kept.kept_fits(tmp_path)) == 1
+
+
+class Earlier(CubicStiffness):
+    """An effect of one's own."""
+
+    key = "own"
+
+    def torque(self, p, motion, states, delayed):
+        return p[0] * motion.angle**3
+
+
+class Later(Earlier):
+    """The same, its equation edited."""
+
+    def torque(self, p, motion, states, delayed):
+        return p[0] * motion.angle**5
+
+
+def test_an_effect_of_ones_own_with_another_equation_is_another_fit(
+    tmp_path, split, fits, monkeypatch
+):
+    def ask(effect):
+        monkeypatch.setattr(effect, "__name__", "Own")
+        KeepingWorkbench(split, folder=tmp_path).fit(
+            KBI() + effect(), [JOINT | {"own.coefficient": 1.0}], thorough=False
+        )
+
+    ask(Earlier)
+    ask(Earlier)
+    assert len(fits) == 1
+    ask(Later)
+    assert len(fits) == 2
 
 
 def test_a_damaged_file_is_written_anew(tmp_path, split, fits):

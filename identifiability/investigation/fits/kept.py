@@ -6,7 +6,9 @@ code that fits. The search draws nothing, so it asks for the same fits when it i
 
 from __future__ import annotations
 
+import hashlib
 import json
+import marshal
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
@@ -37,9 +39,6 @@ def _code() -> str:
 class KeepingWorkbench(Workbench):
     """A workbench that does no fit twice, in this run or in one before.
 
-    An effect of one's own is known by its class's name: after changing its equation, empty the
-    folder.
-
     Attributes
     ----------
     folder : Path
@@ -62,7 +61,9 @@ class KeepingWorkbench(Workbench):
         thorough: bool = True,
     ) -> Candidate:
         """Fit a model, or read the fit if it is there; see `Workbench.fit`."""
-        asked = fingerprint(self._identity, repr(model), starts, refined, thorough)
+        asked = fingerprint(
+            self._identity, repr(model), _own_code(model), starts, refined, thorough
+        )
         path = self.folder / f"{_code()}-{asked}.npz"
         arrays = read_arrays(path)
         if arrays is not None:
@@ -71,6 +72,18 @@ class KeepingWorkbench(Workbench):
         if not found.failure:
             write_arrays(path, _to_arrays(found))
         return found
+
+
+def _own_code(model: Model) -> list[str]:
+    """Compiled methods of effects that are not the package's, whose sources `_code` has not."""
+    return [
+        f"{effect.key}.{name} {hashlib.sha256(marshal.dumps(method.__code__)).hexdigest()}"
+        for effect in model.effects
+        for kind in type(effect).__mro__
+        if not kind.__module__.startswith("identifiability.")
+        for name, method in vars(kind).items()
+        if hasattr(method, "__code__")
+    ] + [repr(parameter) for parameter in model.parameters.values()]
 
 
 def _to_arrays(candidate: Candidate) -> dict[str, np.ndarray]:
