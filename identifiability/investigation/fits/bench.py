@@ -12,12 +12,14 @@ from identifiability.errors import InputError
 from identifiability.inference.fitting import Fit, at_bounds, explore
 from identifiability.inference.problem import Observation, Prior, Problem
 from identifiability.investigation.fits.candidate import NOTHING, Candidate, Residual
+from identifiability.investigation.fits.delays import delays_profiled
 from identifiability.investigation.rules import Rules
 from identifiability.investigation.split import Ready, Split
 from identifiability.joint.model import Model
 
-GLANCE, THOROUGH = 10, 60
-"""Evaluations from each start: to see whether a candidate is worth more, and to finish it."""
+GLANCE, THOROUGH, FURTHER = 10, 60, 200
+"""Evaluations from each start: to see whether a candidate is worth more, to finish it, and for the
+best two where that did not suffice."""
 _KEPT, _NEAR = 2, 2.0  # starts that are carried on: so many, at most so many times the best cost
 _DIVERGED = 1e100  # stands for a response without bound; its squares can still be summed
 
@@ -85,7 +87,20 @@ class Workbench:
         """What a model with given values leaves of a part of the evidence."""
         problem = self.problem(model, part, refined=refined)
         theta = model.vector(values)[list(problem.free)]
-        white = problem.residuals(theta).reshape(self.split.room)
+        return self.unstacked(problem, problem.residuals(theta), part)
+
+    def unstacked(self, problem: Problem, white: np.ndarray, part: Sequence[Ready]) -> Residual:
+        """Whitened residuals of a problem, or differences of such, as those of its trials.
+
+        Parameters
+        ----------
+        problem : Problem
+            Of the part.
+        white : array
+            As `Problem.residuals` gives them.
+        part : sequence of Ready
+        """
+        white = white.reshape(self.split.room)
         white = np.clip(np.nan_to_num(white, nan=_DIVERGED), -_DIVERGED, _DIVERGED)
         compared = [
             row[: o.scale.size][o.scale > 0]
@@ -124,7 +139,11 @@ class Workbench:
         try:
             problem = self.problem(model, self.split.fitted, refined=refined)
             points = np.array([model.vector(s)[list(problem.free)] for s in starts])
-            best = explore(problem, points, evaluations=THOROUGH if thorough else GLANCE)
+            if thorough:
+                best = explore(problem, points, evaluations=THOROUGH, further=FURTHER)
+                best = delays_profiled(problem, best, evaluations=THOROUGH)
+            else:
+                best = explore(problem, points, evaluations=GLANCE)
             reached = _distinct(model, problem, best)
             values = reached[0]
             fitted = self.residual(model, values, self.split.fitted, refined)
