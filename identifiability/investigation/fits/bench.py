@@ -13,14 +13,16 @@ from identifiability.errors import InputError
 from identifiability.inference.fitting import Fit, at_bounds, explore
 from identifiability.inference.problem import Observation, Prior, Problem
 from identifiability.investigation.fits.candidate import NOTHING, Candidate, Residual
+from identifiability.investigation.fits.delays import delays_profiled
 from identifiability.investigation.rules import Rules
 from identifiability.investigation.split import Split
 from identifiability.joint.model import Model
 from identifiability.joint.scheme import EXACT, Scheme
 from identifiability.measurement.prepared import Prepared
 
-GLANCE, THOROUGH = 10, 60
-"""Evaluations from each start: to see whether a candidate is worth more, and to finish it."""
+GLANCE, THOROUGH, FURTHER = 10, 60, 200
+"""Evaluations from each start: to see whether a candidate is worth more, to finish it, and for the
+best two where that did not suffice."""
 _KEPT, _NEAR = 2, 2.0  # starts that are carried on: so many, at most so many times the best cost
 _MOST_AT_A_GLANCE = 16  # steps a sample: extreme parameters are passed through, not reached
 _ROUNDS = 6  # fits at most, each with the scheme that the one before asked for
@@ -114,7 +116,20 @@ class Workbench:
     ) -> Residual:
         model = problem.model
         theta = model.vector(values)[list(problem.free)]
-        white = problem.residuals(theta).reshape(self.split.room)
+        return self.unstacked(problem, problem.residuals(theta), part)
+
+    def unstacked(self, problem: Problem, white: np.ndarray, part: Sequence[Prepared]) -> Residual:
+        """Whitened residuals of a problem, or differences of such, as those of its trials.
+
+        Parameters
+        ----------
+        problem : Problem
+            Of the part.
+        white : array
+            As `Problem.residuals` gives them.
+        part : sequence of Prepared
+        """
+        white = white.reshape(self.split.room)
         white = np.clip(np.nan_to_num(white, nan=_DIVERGED), -_DIVERGED, _DIVERGED)
         compared = [
             row[: o.scale.size][o.scale > 0]
@@ -150,14 +165,17 @@ class Workbench:
             Whether to carry the fit to its end or to take a glance from every start.
         """
         began = time.perf_counter()
-        evaluations = THOROUGH if thorough else GLANCE
         try:
             reached: Sequence[Mapping[str, float]] = starts
             wanted = self._apriori(model, starts)
             for _ in range(_ROUNDS):
                 problem = self.problem(model, self.split.fitted, refined=refined, scheme=wanted)
                 points = np.array([model.vector(s)[list(problem.free)] for s in reached])
-                best = explore(problem, points, evaluations=evaluations)
+                if thorough:
+                    best = explore(problem, points, evaluations=THOROUGH, further=FURTHER)
+                    best = delays_profiled(problem, best, evaluations=THOROUGH)
+                else:
+                    best = explore(problem, points, evaluations=GLANCE)
                 reached = _distinct(model, problem, best)
                 parts, moved = self._checked(problem, reached[0], thorough)
                 wanted = self._wanted(problem, reached[0], moved)
