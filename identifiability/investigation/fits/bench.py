@@ -188,10 +188,11 @@ class Workbench:
 
     def _apriori(self, model: Model, places: Sequence[Mapping[str, float]]) -> Scheme:
         """The finest of the schemes that a model's values ask for."""
-        interval = max(r.drive.interval for r in (*self.split.fitted, *self.split.held_out))
+        drives = [r.drive for r in (*self.split.fitted, *self.split.held_out)]
+        interval, imposed = max(d.interval for d in drives), drives[0].imposed
         best = EXACT
         for values in places:
-            asked = Scheme.for_model(model, model.vector(values), interval)
+            asked = Scheme.for_model(model, model.vector(values), interval, imposed)
             best = asked if asked.is_finer_than(best) else best
         return best
 

@@ -15,7 +15,6 @@ from identifiability.investigation.fits.starts import starting_values
 from identifiability.investigation.search.gate import DECISIVE
 from identifiability.joint.effects.base import Effect
 from identifiability.joint.model import Model
-from identifiability.joint.scheme import Scheme
 
 _HALVINGS = 12
 
@@ -110,7 +109,7 @@ def _smallest(
     def seen(size: float) -> bool:
         values = shape | dict.fromkeys(sizes[1:], 0.0) | {measure: size}
         theta = model.vector(values)
-        suited = problem.with_scheme(Scheme.for_model(model, theta, problem.interval))
+        suited = problem.with_scheme(problem.suited(theta))
         change = suited.residuals(theta[list(problem.free)]) - before
         left = change - basis @ (basis.T @ change)
         return bool(scale * left @ left > needed)
