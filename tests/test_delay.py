@@ -23,8 +23,8 @@ from identifiability.measurement.perturbations import (
 )
 
 PARAMETERS = (
-    Parameter("angle_gain", "g", "Nm/rad", 0.0, -500.0, 500.0, "gain on the angle", null=0.0),
-    Parameter("velocity_gain", "h", "Nms/rad", 0.0, -50.0, 50.0, "gain on the velocity", null=0.0),
+    Parameter("angle_gain", "g", "Nm/rad", 1.0, -500.0, 500.0, "gain on the angle", null=0.0),
+    Parameter("velocity_gain", "h", "Nms/rad", 1.0, -50.0, 50.0, "gain on the velocity", null=0.0),
     Parameter("delay", "d", "s", 0.02, 0.0, 0.2, "loop delay"),
 )
 
@@ -33,6 +33,7 @@ class Feedback(Effect):
     """Torque in proportion to the angle and velocity one delay ago."""
 
     key = "feedback"
+    title = "delayed feedback"
     place = "joint"
     linear = True
     parameters = PARAMETERS

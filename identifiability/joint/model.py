@@ -61,6 +61,13 @@ class Model:
                 f"only effects can be added to a joint model, found {found}; "
                 "write for example KBI() + SeriesTendon()"
             )
+        try:
+            hash(other)
+        except TypeError:
+            raise InputError(
+                f"found a field of {type(other).__name__} that can change, expected numbers, words "
+                "and tuples; write @dataclass(frozen=True) over an effect that is a dataclass"
+            ) from None
         if other.key in self.effect_keys:
             raise InputError(f"the model already has the effect '{other.key}'; add it once")
         # The order of addition must not change names or numbers, so effects are kept sorted.
