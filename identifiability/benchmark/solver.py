@@ -155,7 +155,7 @@ def _settled(
         halved = _error(found, by(scheme.halved))
         if halved <= ALLOWED or scheme.finest:
             return scheme, found, halved
-        scheme = scheme.finer
+        scheme = scheme.improved(halved / ALLOWED)
 
 
 def _error(found: np.ndarray, reference: np.ndarray) -> float:

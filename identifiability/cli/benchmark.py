@@ -16,9 +16,9 @@ def add_parser(commands: Any) -> None:
         "benchmark",
         help="judge the investigation on joints whose hidden effects are known, or the solver",
         description="solver: integrate every non-linear effect at many sampling rates, and compare "
-        "with far finer steps. investigation: simulate joints with hidden effects by an independent simulator, investigate "
-        "each, and count what was found. An interrupted run goes on where it was when the same "
-        "command is typed again.",
+        "with far finer steps. investigation: simulate joints with hidden effects by an "
+        "independent simulator, investigate each, and count what was found. An interrupted "
+        "run goes on where it was when the same command is typed again.",
     )
     parser.add_argument("what", choices=("investigation", "solver"), help="what is judged")
     parser.add_argument(

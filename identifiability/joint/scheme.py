@@ -79,12 +79,17 @@ class Scheme:
         """The same with steps half as long: what tells the error of this one."""
         return replace(self, substeps=2 * self.substeps)
 
-    @property
-    def finer(self) -> Scheme:
-        """The next better scheme at about twice the work."""
-        if self.order == 2 and self.substeps >= _MOST_SECOND:
-            return Scheme(max(self.substeps // 2, 1), 4)
-        return self.halved
+    def improved(self, ratio: float) -> Scheme:
+        """The scheme whose error E (a square) should be so many times smaller; at least halved.
+
+        Where the steps are far too long their error says little, so what is found is to be checked
+        again.
+        """
+        factor = max(2.0, ratio ** (0.5 / self.order))
+        substeps = _power_of_two(self.substeps * factor)
+        if self.order == 2 and substeps > _MOST_SECOND:
+            return Scheme(max(substeps // 4, 1), 4)
+        return Scheme(min(substeps, MOST_SUBSTEPS), self.order)
 
     @property
     def finest(self) -> bool:

@@ -241,7 +241,8 @@ class Workbench:
         if error is not None and np.isfinite(error) and error > self._tolerance:
             if scheme.finest:
                 raise InputError(_too_fast(problem))
-            wanted = wanted if wanted.is_finer_than(scheme) else scheme.finer
+            better = scheme.improved(error / self._tolerance)
+            wanted = better if better.is_finer_than(wanted) else wanted
         return wanted
 
     @property
