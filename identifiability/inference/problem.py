@@ -310,7 +310,12 @@ class Problem:
     @cached_property
     def integration(self) -> Scheme:
         """How the response is computed."""
-        return self.scheme or Scheme.for_model(self.model, self.template, self.interval)
+        return self.scheme or self.suited(self.template)
+
+    def suited(self, theta: ArrayLike) -> Scheme:
+        """Scheme that a full parameter vector of the model asks for at these observations."""
+        imposed = self.observations[0].drive.imposed
+        return Scheme.for_model(self.model, theta, self.interval, imposed)
 
     @property
     def interval(self) -> float:

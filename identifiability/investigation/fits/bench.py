@@ -207,10 +207,11 @@ class Workbench:
 
     def _apriori(self, model: Model, places: Sequence[Mapping[str, float]]) -> Scheme:
         """The finest of the schemes that a model's values ask for."""
-        interval = max(r.drive.interval for r in (*self.split.fitted, *self.split.held_out))
+        drives = [r.drive for r in (*self.split.fitted, *self.split.held_out)]
+        interval, imposed = max(d.interval for d in drives), drives[0].imposed
         best = EXACT
         for values in places:
-            asked = Scheme.for_model(model, model.vector(values), interval)
+            asked = Scheme.for_model(model, model.vector(values), interval, imposed)
             best = asked if asked.is_finer_than(best) else best
         return best
 
@@ -259,7 +260,8 @@ class Workbench:
         if error is not None and np.isfinite(error) and error > self._tolerance:
             if scheme.finest:
                 raise InputError(_too_fast(problem))
-            wanted = wanted if wanted.is_finer_than(scheme) else scheme.finer
+            better = scheme.improved(error / self._tolerance)
+            wanted = better if better.is_finer_than(wanted) else wanted
         return wanted
 
     @property

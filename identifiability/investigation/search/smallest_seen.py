@@ -24,7 +24,6 @@ from identifiability.investigation.fits.independent import effective_samples
 from identifiability.investigation.search.gate import Gate
 from identifiability.joint.effects.base import Effect
 from identifiability.joint.model import Model
-from identifiability.joint.scheme import Scheme
 
 _FIRST = 0.01  # share of the nominal size that the bracket is looked for from
 _STRIDE, _CLOSE = 8.0, 1.05  # largest step of that, and ratio of the bracket's ends at its end
