@@ -13,7 +13,7 @@ from identifiability.inference.fitting import Fit, at_bounds, explore
 from identifiability.inference.problem import Observation, Prior, Problem
 from identifiability.investigation.fits.candidate import NOTHING, Candidate, Residual
 from identifiability.investigation.rules import Rules
-from identifiability.investigation.split import Split
+from identifiability.investigation.split import Split, owners
 from identifiability.joint.model import Model
 from identifiability.measurement.prepared import Prepared
 
@@ -45,6 +45,11 @@ class Workbench:
         """Conventions that everything goes by."""
         return self.split.rules
 
+    def prior(self, model: Model) -> Prior:
+        """The physical bounds of a model's parameters, or others where some were given."""
+        names = model.parameter_names
+        return Prior.physical(model, **{n: b for n, b in self.bounds.items() if n in names})
+
     def problem(
         self, model: Model, part: Sequence[Prepared], *, refined: Sequence[str] = ()
     ) -> Problem:
@@ -59,17 +64,15 @@ class Workbench:
         """
         if id(part) not in self._observations:
             self._observations[id(part)] = self.split.observations(part)
-        names = model.parameter_names
         plain = {
             name: p.plain
             for name, p in model.parameters.items()
             if p.plain is not None and name.split(".")[0] not in refined
         }
-        prior = Prior.physical(model, **{n: b for n, b in self.bounds.items() if n in names})
         return Problem(
             model,
             self._observations[id(part)],
-            prior,
+            self.prior(model),
             fixed=plain,
             substeps=None if model.linear else 1,
             order=2,
@@ -187,8 +190,3 @@ def _distinct(model: Model, problem: Problem, best: Fit) -> list[dict[str, float
     return [
         dict(zip(names, map(float, problem.complete(best.reached[i])), strict=True)) for i in near
     ]
-
-
-def owners(observations: Sequence[Observation]) -> np.ndarray:
-    """Number of the trial that each observation is a piece of, shape (n_observations,)."""
-    return np.cumsum([not o.continues for o in observations]) - 1
