@@ -12,7 +12,7 @@ from identifiability.benchmark.score import matched, outcome_of, wilson
 from identifiability.cli.main import main
 from identifiability.errors import InputError
 from identifiability.inference.starts import starting_values
-from identifiability.investigation.fits.bench import Workbench, owners
+from identifiability.investigation.fits.bench import Workbench
 from identifiability.investigation.fits.candidate import NOTHING, Candidate, Residual
 from identifiability.investigation.rules import Rules
 from identifiability.investigation.search.equivalence import comes_near, could_be
@@ -21,7 +21,7 @@ from identifiability.investigation.search.gate import Gate, Ranked
 from identifiability.investigation.search.ranking import Ranker
 from identifiability.investigation.search.rivals import Rivals
 from identifiability.investigation.session import Investigation
-from identifiability.investigation.split import Split, gather
+from identifiability.investigation.split import Split, gather, owners
 from identifiability.joint.effects import (
     EFFECTS,
     LooseCoupling,

@@ -13,7 +13,7 @@ from identifiability.errors import InputError
 from identifiability.inference.starts import starting_values
 from identifiability.investigation.fits.bench import Workbench
 from identifiability.investigation.fits.candidate import NOTHING
-from identifiability.investigation.fits.refits import Refits, correlation_time, without_levels
+from identifiability.investigation.fits.refits import Refits, without_levels
 from identifiability.investigation.rules import Rules
 from identifiability.investigation.split import gather
 from identifiability.investigation.where.compare import compare
@@ -32,7 +32,7 @@ from identifiability.joint.effects.series_tendon import SeriesTendon
 from identifiability.joint.effects.stretch_reflex import StretchReflex
 from identifiability.joint.model import KBI
 from identifiability.joint.response import simulate
-from identifiability.measurement.noise import Noise
+from identifiability.measurement.noise import Noise, correlation_time
 from identifiability.measurement.perturbations import SampledTorque
 from identifiability.measurement.trials import Trial
 from identifiability.plots.investigation_where import (
@@ -186,12 +186,12 @@ def test_coloured_noise_is_whitened(level):
 
 def test_correlation_times_of_pieces_are_pooled():
     rng = np.random.default_rng(5)
-    assert correlation_time(tuple(rng.standard_normal((20, 50)))) == pytest.approx(1.0, abs=0.2)
+    assert correlation_time(*rng.standard_normal((20, 50))) == pytest.approx(1.0, abs=0.2)
     rho = 0.8
     pieces = [Noise(1.0, -1 / np.log(rho)).draw(200, 1.0, seed) for seed in range(20)]
     expected = (1 + rho) / (1 - rho)
-    assert correlation_time(tuple(pieces)) == pytest.approx(expected, rel=0.25)
-    assert correlation_time((np.zeros(9),)) == 1.0
+    assert correlation_time(*pieces) == pytest.approx(expected, rel=0.25)
+    assert correlation_time(np.zeros(9)) == 1.0
 
 
 def test_levels_are_taken_out_as_far_as_they_are_unknown():

@@ -9,6 +9,7 @@ import numpy as np
 import scipy.optimize
 
 from identifiability.errors import InputError
+from identifiability.inference.bounds import onto, size_of, strictly_inside, touching
 from identifiability.inference.problem import Problem
 
 _THREADS = 2  # that descend from different starts side by side
@@ -103,7 +104,7 @@ def fit(problem: Problem, starts: np.ndarray, *, polish: bool = True) -> Fit:
                 start,
                 jac=problem.jacobian,
                 bounds=(problem.lower, problem.upper),
-                x_scale=np.maximum(np.abs(start), 1e-3),
+                x_scale=size_of(start),
                 ftol=1e-12,
                 xtol=1e-10,
                 gtol=1e-12,
@@ -232,17 +233,14 @@ def fit_simplex(
 
 def at_bounds(problem: Problem, values: np.ndarray) -> tuple[str, ...]:
     """Names of the free parameters that lie on a bound, to within 1e-6 of their size."""
-    near = 1e-6 * np.maximum(np.abs(values), 1e-3)
-    on = (values - problem.lower <= near) | (problem.upper - values <= near)
+    at_lower, at_upper = touching(values, problem.lower, problem.upper)
+    on = at_lower | at_upper
     return tuple(name for name, is_on in zip(problem.names, on, strict=True) if is_on)
 
 
 def inside(problem: Problem, points: np.ndarray) -> np.ndarray:
-    """Points moved strictly inside the bounds, as the trust region method requires."""
-    lower = np.where(np.isfinite(problem.lower), problem.lower, -1e12)
-    upper = np.where(np.isfinite(problem.upper), problem.upper, 1e12)
-    margin = 1e-6 * np.minimum(upper - lower, 1.0)
-    return np.clip(points, lower + margin, upper - margin)
+    """Points moved strictly inside the problem's bounds."""
+    return strictly_inside(points, problem.lower, problem.upper)
 
 
 def _onto_bounds(problem: Problem, x: np.ndarray) -> np.ndarray:
@@ -254,8 +252,9 @@ def _onto_bounds(problem: Problem, x: np.ndarray) -> np.ndarray:
     gradient = jacobian.T @ residuals
     with np.errstate(divide="ignore"):
         near = 1e-3 / np.linalg.norm(jacobian, axis=0)
-    x = np.where((gradient > 0) & (x - problem.lower < near), problem.lower, x)
-    return np.where((gradient < 0) & (problem.upper - x < near), problem.upper, x)
+    at_lower, at_upper = touching(x, problem.lower, problem.upper, near)
+    pushed = at_lower & (gradient > 0), at_upper & (gradient < 0)
+    return onto(x, problem.lower, problem.upper, pushed)
 
 
 def _newton(
@@ -265,13 +264,12 @@ def _newton(
     for _ in range(steps):
         residuals, jacobian = problem.residuals(x), problem.jacobian(x)
         gradient, hessian = jacobian.T @ residuals, problem.hessian(x)
-        size = np.maximum(np.abs(x), 1e-3)
-        pinned = ((x - problem.lower < 1e-6 * size) & (gradient > 0)) | (
-            (problem.upper - x < 1e-6 * size) & (gradient < 0)
-        )
+        size = size_of(x)
+        at_lower, at_upper = touching(x, problem.lower, problem.upper)
+        pinned = at_lower & (gradient > 0), at_upper & (gradient < 0)
         # What the reflective method leaves a hair inside a bound belongs on it.
-        x = np.where(pinned, np.where(gradient > 0, problem.lower, problem.upper), x)
-        free = ~pinned
+        x = onto(x, problem.lower, problem.upper, pinned)
+        free = ~(pinned[0] | pinned[1])
         if not free.any():
             break
         scaled = hessian[np.ix_(free, free)] * np.outer(size[free], size[free])

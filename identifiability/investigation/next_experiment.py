@@ -302,5 +302,5 @@ def _distance(
         scheme=template.scheme,
         room=template.room,
     )
-    start = candidate.model.vector(candidate.values)[list(problem.free)]
+    start = problem.free_vector(candidate.values)
     return 2 * explore(problem, start[None], evaluations=_EVALUATIONS).cost

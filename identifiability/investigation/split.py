@@ -181,3 +181,31 @@ def _pieces(prepared: Prepared, noise: Noise) -> list[Observation]:
         share = np.sqrt(chosen.size / span)
         out.append(replace(one, constant=one.constant * share, continues=bool(out)))
     return out
+
+
+def owners(observations: Sequence[Observation]) -> np.ndarray:
+    """Number of the trial that each observation is a piece of, shape (n_observations,)."""
+    return np.cumsum([not o.continues for o in observations]) - 1
+
+
+def places(observations: Sequence[Observation], width: int) -> list[np.ndarray]:
+    """Where each trial's compared samples are among residuals, its pieces put together.
+
+    Parameters
+    ----------
+    observations : sequence of Observation
+        Whole trials, or pieces of them in their order.
+    width : int
+        Number of samples that each observation has room for.
+
+    Returns
+    -------
+    list of array of int
+        One a trial.
+    """
+    pieces: list[list[np.ndarray]] = []
+    for row, observation in enumerate(observations):
+        if not observation.continues:
+            pieces.append([])
+        pieces[-1].append(row * width + np.flatnonzero(observation.scale > 0))
+    return [np.concatenate(found) for found in pieces]

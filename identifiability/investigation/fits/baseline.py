@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 
 from identifiability.errors import InputError
-from identifiability.inference.problem import Prior
 from identifiability.inference.starts import first_guess, starting_values
 from identifiability.investigation.fits.bench import Workbench
 from identifiability.investigation.fits.candidate import Candidate
@@ -31,9 +30,8 @@ def fit_baseline(bench: Workbench, model: Model, *, refined: bool = False) -> Ca
     InputError
         Where no fit succeeds.
     """
-    bounds = {name: bench.bounds[name] for name in ("K", "B", "I") if name in bench.bounds}
-    prior = Prior.physical(KBI(), **bounds)
-    values = map(float, first_guess([r.trial for r in bench.split.fitted], prior))
+    trials = [r.trial for r in bench.split.fitted]
+    values = map(float, first_guess(trials, bench.prior(KBI())))
     guess = dict(zip(("K", "B", "I"), values, strict=True))
     starts = []
     for factor in _FACTORS:

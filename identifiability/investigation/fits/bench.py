@@ -15,7 +15,7 @@ from identifiability.inference.problem import Observation, Prior, Problem
 from identifiability.investigation.fits.candidate import NOTHING, Candidate, Residual
 from identifiability.investigation.fits.delays import delays_profiled
 from identifiability.investigation.rules import Rules
-from identifiability.investigation.split import Split
+from identifiability.investigation.split import Split, owners
 from identifiability.joint.model import Model
 from identifiability.joint.scheme import EXACT, Scheme
 from identifiability.measurement.prepared import Prepared
@@ -61,6 +61,11 @@ class Workbench:
             return self._fitted
         return self._held_out if part is self.split.held_out else self.split.observations(part)
 
+    def prior(self, model: Model) -> Prior:
+        """The physical bounds of a model's parameters, or others where some were given."""
+        names = model.parameter_names
+        return Prior.physical(model, **{n: b for n, b in self.bounds.items() if n in names})
+
     def problem(
         self,
         model: Model,
@@ -80,17 +85,15 @@ class Workbench:
         scheme : Scheme, optional
             That of a candidate; by default that for nominal parameters.
         """
-        names = model.parameter_names
         plain = {
             name: p.plain
             for name, p in model.parameters.items()
             if p.plain is not None and name.split(".")[0] not in refined
         }
-        prior = Prior.physical(model, **{n: b for n, b in self.bounds.items() if n in names})
         return Problem(
             model,
             self._observed(part),
-            prior,
+            self.prior(model),
             fixed=plain,
             scheme=scheme,
             room=self.split.room,
@@ -321,8 +324,3 @@ def _distinct(model: Model, problem: Problem, best: Fit) -> list[dict[str, float
     return [
         dict(zip(names, map(float, problem.complete(best.reached[i])), strict=True)) for i in near
     ]
-
-
-def owners(observations: Sequence[Observation]) -> np.ndarray:
-    """Number of the trial that each observation is a piece of, shape (n_observations,)."""
-    return np.cumsum([not o.continues for o in observations]) - 1

@@ -14,13 +14,16 @@ from functools import cached_property
 import numpy as np
 import scipy.optimize
 
+from identifiability.inference.bounds import onto, size_of, strictly_inside, touching
 from identifiability.inference.problem import Problem
-from identifiability.investigation.fits.bench import Workbench, owners
+from identifiability.investigation.fits.bench import Workbench
 from identifiability.investigation.fits.candidate import Candidate
+from identifiability.investigation.split import places
 
 NAMES = ("K", "B", "I")
 UNITS = ("Nm/rad", "Nms/rad", "kg m²")
 _EVALUATIONS = 40
+_NEAR = 1e-5  # of a parameter's size: these fits end earlier than others
 UNKNOWN_LEVEL = 1e3
 """Size of an offset that is unknown altogether, in units of the noise."""
 
@@ -81,11 +84,8 @@ class Refits:
         """Where a trial's samples are among the problem's residuals, and their weight's scale."""
         split, width = self.bench.split, self._problem.data.measured.shape[1]
         sds = split.weights_sd(split.fitted)
-        rows: list[list[np.ndarray]] = [[] for _ in sds]
-        observations = self._problem.observations
-        for k, (observation, i) in enumerate(zip(observations, owners(observations), strict=True)):
-            rows[i].append(k * width + np.flatnonzero(observation.scale > 0))
-        return [(np.concatenate(r), float(sd)) for r, sd in zip(rows, sds, strict=True)]
+        found = places(self._problem.observations, width)
+        return [(at, float(sd)) for at, sd in zip(found, sds, strict=True)]
 
     def linearised(self, values: np.ndarray) -> tuple[list[np.ndarray], list[np.ndarray]]:
         """Residuals of the trials, and the derivatives of the predictions.
@@ -103,7 +103,7 @@ class Refits:
             Derivatives of the predicted response.
         """
         problem = self._problem
-        x = self.candidate.model.vector(self.candidate.values)[list(problem.free)]
+        x = problem.free_vector(self.candidate.values)
         x[:3] = values
         white, jacobian = problem.residuals(x), problem.jacobian(x)[:, :3]
         left = [-sd * white[at][:, None] for at, sd in self._places]
@@ -126,8 +126,7 @@ class Refits:
             return np.concatenate([take(i, s) for i, s in enumerate(self.linearised(values)[1])])
 
         lower, upper = self._problem.lower[:3], self._problem.upper[:3]
-        margin = 1e-6 * np.minimum(upper - lower, 1.0)
-        x = np.clip(self.values if start is None else start, lower + margin, upper - margin)
+        x = strictly_inside(self.values if start is None else start, lower, upper)
         # Where the response overflows about the start, that stays.
         with contextlib.suppress(ValueError, np.linalg.LinAlgError):
             x = scipy.optimize.least_squares(
@@ -141,9 +140,8 @@ class Refits:
                 gtol=1e-10,
                 max_nfev=_EVALUATIONS,
             ).x
-        near = 1e-5 * np.maximum(np.abs(x), 1e-3)
-        x = np.where(x - lower <= near, lower, np.where(upper - x <= near, upper, x))
-        on = (x == lower) | (x == upper)
+        at_lower, at_upper = touched = touching(x, lower, upper, _NEAR * size_of(x))
+        x, on = onto(x, lower, upper, touched), at_lower | at_upper
         left, slope = rows(x), slopes(x)
         return Refit(
             x,
@@ -178,21 +176,3 @@ def without_levels(columns: np.ndarray, level: np.ndarray, group: np.ndarray) ->
     for column in out.T:
         column -= level * (np.bincount(group, level * column) * share)[group]
     return out
-
-
-def correlation_time(pieces: tuple[np.ndarray, ...]) -> float:
-    """Integrated autocorrelation time of a residual in several pieces [samples], at least 1.
-
-    The pieces are pooled and their means are kept, which would make short pieces look white; the
-    sum ends at the first lag beyond five times itself (Sokal's window).
-    """
-    longest = max(piece.size for piece in pieces)
-    covariance = np.zeros(longest)
-    for piece in pieces:
-        power = np.abs(np.fft.rfft(piece, 2 * piece.size)) ** 2
-        covariance[: piece.size] += np.fft.irfft(power, 2 * piece.size)[: piece.size]
-    if covariance[0] == 0:
-        return 1.0
-    times = 2 * np.cumsum(covariance / covariance[0]) - 1
-    beyond = np.flatnonzero(np.arange(longest) >= 5 * times)
-    return float(max(1.0, times[beyond[0] if beyond.size else longest - 1]))

@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from identifiability.inference.widths import Widths, widths
-from identifiability.investigation.fits.bench import Workbench, owners
+from identifiability.investigation.fits.bench import Workbench
 from identifiability.investigation.fits.candidate import Candidate
+from identifiability.investigation.split import owners
 from identifiability.measurement.noise import correlation_time
 
 
@@ -37,5 +38,5 @@ def parameter_widths(bench: Workbench, candidate: Candidate, *, seed: int = 1) -
         for o, i in zip(problem.observations, owners(problem.observations), strict=True)
     ]
     sharper = replace(problem, observations=observations, exact_hessian=False)
-    start = candidate.model.vector(candidate.values)[list(problem.free)]
+    start = problem.free_vector(candidate.values)
     return widths(sharper, starts=start[None], seed=seed, referee=False, quick=True)

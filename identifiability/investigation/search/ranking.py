@@ -82,7 +82,7 @@ class Ranker:
         problem = self.bench.problem(
             current.model, fitted, refined=current.refined, scheme=current.scheme
         )
-        theta = current.model.vector(current.values)[list(problem.free)]
+        theta = problem.free_vector(current.values)
         basis, _ = np.linalg.qr(problem.jacobian(theta))
         left = _outside(basis, problem.residuals(theta))
         joint = {name: current.values[name] for name in ("K", "B", "I")}
@@ -96,7 +96,7 @@ class Ranker:
                 shapes.append({**known.values, **joint})
             best = 0.0
             for shape in shapes:
-                change = alone.residuals(model.vector(shape)[list(alone.free)]) - plain
+                change = alone.residuals(alone.free_vector(shape)) - plain
                 signature = _outside(basis, change)
                 size = float(signature @ signature)
                 if np.isfinite(size) and size > 0:

@@ -188,7 +188,7 @@ class _Hidden:
         without, having = self.problems
         values = self.values(strength)
         full = having[0].free_vector(values)
-        scheme = Scheme.for_model(self.model, self.model.vector(values), having[0].interval)
+        scheme = having[0].suited(self.model.vector(values))
         predicted = [problem.with_scheme(scheme).residuals(full) for problem in having]
         if not all(np.all(np.isfinite(p)) for p in predicted):
             return None

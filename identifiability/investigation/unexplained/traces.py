@@ -20,6 +20,7 @@ from scipy.signal import fftconvolve
 from identifiability.inference.problem import Problem
 from identifiability.investigation.fits.bench import Workbench
 from identifiability.investigation.fits.candidate import Candidate
+from identifiability.investigation.split import places
 from identifiability.investigation.unexplained.linear_gaussian import Columns
 from identifiability.joint.model import KBI, Model
 from identifiability.joint.response import simulate
@@ -118,17 +119,9 @@ def traces_of(bench: Workbench, candidate: Candidate) -> tuple[list[Trace], Resp
 def _jacobians(bench: Workbench, problem: Problem, candidate: Candidate) -> list[np.ndarray]:
     """Derivatives of each trial's response at the compared samples, pieces put together."""
     split = bench.split
-    theta = candidate.model.vector(candidate.values)[list(problem.free)]
-    white = problem.jacobian(theta).reshape(*split.room, -1)
-    out, row = [], 0
-    for ready, sd in zip(split.fitted, split.weights_sd(split.fitted), strict=True):
-        collected: list[np.ndarray] = []
-        while sum(len(c) for c in collected) < ready.last - ready.first:
-            compared = problem.observations[row].scale > 0
-            collected.append(white[row, : compared.size][compared])
-            row += 1
-        out.append(sd * np.concatenate(collected))
-    return out
+    white = problem.jacobian(problem.free_vector(candidate.values))
+    found = places(problem.observations, split.room[1])
+    return [sd * white[at] for at, sd in zip(found, split.weights_sd(split.fitted), strict=True)]
 
 
 def _moved(trace: Trace, smooth: np.ndarray) -> Trace:

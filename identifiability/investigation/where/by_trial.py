@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import numpy as np
 from scipy import stats
 
-from identifiability.investigation.fits.refits import correlation_time
 from identifiability.investigation.where.drawing import (
     MOST_LABELS,
     is_logarithmic,
@@ -20,6 +19,7 @@ from identifiability.investigation.where.numerals import short
 from identifiability.investigation.where.scene import Scene
 from identifiability.investigation.where.view import Panel, View
 from identifiability.investigation.where.whitening import excess
+from identifiability.measurement.noise import correlation_time
 from identifiability.palette import BLUE
 
 if TYPE_CHECKING:
@@ -76,7 +76,7 @@ class TrialView(View):
         elif n > 1:
             # The noise may be alike in all trials, or in proportion to the response: exceed both.
             squares = [float(np.mean(r**2)) for r in fitted.by_trial]
-            samples = [r.size / correlation_time((r,)) for r in fitted.by_trial]
+            samples = [r.size / correlation_time(r) for r in fitted.by_trial]
             counts = np.array([sum(samples[i] for i in members) for _, members in groups])
             levels = np.array([np.mean([squares[i] for i in members]) for _, members in groups])
             for k in range(n):

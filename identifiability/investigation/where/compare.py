@@ -24,7 +24,6 @@ from identifiability.investigation.fits.refits import (
     Refit,
     Refits,
     Take,
-    correlation_time,
     without_levels,
 )
 from identifiability.investigation.split import Split
@@ -32,6 +31,7 @@ from identifiability.investigation.where import groups
 from identifiability.investigation.where.groups import Group, Unit
 from identifiability.investigation.where.imposed import Imposed, imposed
 from identifiability.investigation.where.whitening import Whitening, whitening
+from identifiability.measurement.noise import correlation_time
 
 Aspect = Literal["window", "amplitude", "direction", "condition", "trial"]
 
@@ -295,14 +295,14 @@ class _Fitter:
         found : Refit
         """
         n = sum(row.size for row in found.rows)
-        independent = n / correlation_time(tuple(row for row in found.rows if row.size))
+        independent = n / correlation_time(*(row for row in found.rows if row.size))
         errors = np.sqrt(self.spread(found) * np.diag(_inverse(found.information)))
         return Estimate(group.label, found.values, errors, n, independent, found.at_bound)
 
     def spread(self, found: Refit) -> float:
         """Variance of a fit's residual times its autocorrelation time."""
         pieces = tuple(row for row in found.rows if row.size)
-        n, time = sum(piece.size for piece in pieces), correlation_time(pieces)
+        n, time = sum(piece.size for piece in pieces), correlation_time(*pieces)
         # The fit takes three of as many samples as are independent.
         return found.cost * time / max(n - 3 * time, 1.0)
 

@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import numpy as np
 from scipy import linalg, signal, stats
 
-from identifiability.investigation.fits.refits import correlation_time
 from identifiability.investigation.where.drawing import INTERVAL, points
 from identifiability.investigation.where.numerals import probability
 from identifiability.investigation.where.scene import Scene
 from identifiability.investigation.where.view import Panel, View
 from identifiability.investigation.where.whitening import Portion, excess
+from identifiability.measurement.noise import correlation_time
 from identifiability.measurement.prepared import Prepared
 from identifiability.palette import BLUE, GREY
 
@@ -215,7 +215,7 @@ def _regression(
     leverage = np.sum(reduced * inverse.T, axis=1)
     coefficients = inverse @ left
     remaining = left - reduced @ coefficients
-    spread = max(1.0, float(np.mean(remaining**2)) * correlation_time((remaining,)))
+    spread = max(1.0, float(np.mean(remaining**2)) * correlation_time(remaining))
     return _Regression(
         basis @ coefficients,
         np.sqrt(spread * np.sum((basis @ inverse) ** 2, axis=1)),
