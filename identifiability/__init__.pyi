@@ -11,6 +11,7 @@ from .inference.sampling import Posterior, Sampler, sample
 from .inference.widths import Width, Widths, widths
 from .investigation.findings import Findings
 from .investigation.fits.candidate import Candidate, Residual
+from .investigation.fits.kept import OnDisk
 from .investigation.investigate import investigate
 from .investigation.next_experiment import Limits, NextExperiment
 from .investigation.record import investigation_record
@@ -147,6 +148,7 @@ __all__ = [  # noqa: RUF022 -- in the order of use
     "Comparison",
     "Location",
     "Rules",
+    "OnDisk",
     "Residual",
     "Candidate",
     "Ranked",

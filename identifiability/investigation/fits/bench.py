@@ -14,11 +14,13 @@ from identifiability.inference.fitting import Fit, at_bounds, explore
 from identifiability.inference.problem import Observation, Prior, Problem
 from identifiability.investigation.fits.candidate import NOTHING, Candidate, Residual
 from identifiability.investigation.fits.delays import delays_profiled
+from identifiability.investigation.fits.kept import InMemory, Kept, question
 from identifiability.investigation.rules import Rules
 from identifiability.investigation.split import Split, owners
 from identifiability.joint.model import Model
 from identifiability.joint.scheme import EXACT, Scheme
 from identifiability.measurement.prepared import Prepared
+from identifiability.provenance import fingerprint
 
 GLANCE, THOROUGH, FURTHER = 10, 60, 200
 """Evaluations from each start: to see whether a candidate is worth more, to finish it, and for the
@@ -38,10 +40,17 @@ class Workbench:
     split : Split
     bounds : mapping of str to (float, float)
         Other bounds than the physical ones, by parameter name.
+    kept : Kept
+        Where fits are kept, so that none is done twice; one that failed is not.
     """
 
     split: Split
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    kept: Kept = field(default_factory=InMemory)
+
+    @cached_property
+    def _identity(self) -> str:
+        return fingerprint(self.split.fitted, self.split.held_out, self.split.rules, self.bounds)
 
     @property
     def rules(self) -> Rules:
@@ -117,8 +126,7 @@ class Workbench:
     def _left(
         self, problem: Problem, values: Mapping[str, float], part: Sequence[Prepared]
     ) -> Residual:
-        model = problem.model
-        theta = model.vector(values)[list(problem.free)]
+        theta = problem.free_vector(values)
         return self.unstacked(problem, problem.residuals(theta), part)
 
     def unstacked(self, problem: Problem, white: np.ndarray, part: Sequence[Prepared]) -> Residual:
@@ -167,13 +175,28 @@ class Workbench:
         thorough : bool
             Whether to carry the fit to its end or to take a glance from every start.
         """
+        asked = question(self._identity, model, starts, refined, thorough)
+        found = self.kept.find(asked, model)
+        if found is None:
+            found = self._fit(model, starts, refined, thorough)
+            if not found.failure:
+                self.kept.keep(asked, found)
+        return found
+
+    def _fit(
+        self,
+        model: Model,
+        starts: Sequence[Mapping[str, float]],
+        refined: Sequence[str],
+        thorough: bool,
+    ) -> Candidate:
         began = time.perf_counter()
         try:
             reached: Sequence[Mapping[str, float]] = starts
             wanted = self._apriori(model, starts)
             for _ in range(_ROUNDS):
                 problem = self.problem(model, self.split.fitted, refined=refined, scheme=wanted)
-                points = np.array([model.vector(s)[list(problem.free)] for s in reached])
+                points = np.array([problem.free_vector(s) for s in reached])
                 if thorough:
                     best = explore(problem, points, evaluations=THOROUGH, further=FURTHER)
                     best = delays_profiled(problem, best, evaluations=THOROUGH)

@@ -180,8 +180,7 @@ class _Hidden:
     @cached_property
     def model_free_start(self) -> np.ndarray:
         """The smaller model's optimum."""
-        at = self.candidate.model.vector(self.candidate.values)
-        return np.asarray(at[list(self.problems[0][0].free)])
+        return self.problems[0][0].free_vector(self.candidate.values)
 
     def trace(self, strength: float, start: np.ndarray) -> _Trace | None:
         """What the smaller model, fitted anew, cannot absorb of the effect."""
