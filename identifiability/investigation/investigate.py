@@ -12,7 +12,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from identifiability.errors import InputError
-from identifiability.inference.problem import Prior
+from identifiability.inference.problem import Prior, Problem
 from identifiability.inference.recordings import first_guess, integrated_autocorrelation
 from identifiability.inference.widths import Widths, widths
 from identifiability.investigation.fits.bench import Workbench, owners
@@ -29,6 +29,7 @@ from identifiability.investigation.where.compare import Comparison, compare
 from identifiability.investigation.where.locate import Location, locate
 from identifiability.joint.effects import EFFECTS, Effect
 from identifiability.joint.model import KBI, Model
+from identifiability.joint.scheme import Scheme
 from identifiability.measurement.filtering import Lowpass
 from identifiability.measurement.trials import Trial
 
@@ -214,6 +215,7 @@ class Investigation:
         ]
         sharper = replace(problem, observations=observations, exact_hessian=False)
         start = candidate.model.vector(candidate.values)[list(problem.free)]
+        sharper = sharper.with_scheme(_scheme_about(sharper, start))
         return widths(sharper, starts=start[None], seed=seed, referee=False, quick=True)
 
     def smallest_seen(self, candidate: Candidate) -> tuple[Detectable, ...]:
@@ -349,3 +351,18 @@ def investigate(
         tuple(sorted(warnings)),
         seed,
     )
+
+
+def _scheme_about(problem: Problem, optimum: np.ndarray) -> Scheme:
+    """The finest scheme that parameters within three standard errors of the optimum ask for."""
+    if problem.integration.exact:
+        return problem.integration
+    jacobian = problem.jacobian(optimum)
+    reach = 3 * np.sqrt(np.diag(np.linalg.pinv(jacobian.T @ jacobian)))
+    scheme = problem.integration
+    for sign in (-1, 1):
+        for move in np.diag(sign * reach):
+            place = np.clip(optimum + move, problem.lower, problem.upper)
+            asked = problem.suited(problem.complete(place))
+            scheme = asked if asked.is_finer_than(scheme) else scheme
+    return scheme
