@@ -50,6 +50,7 @@ from .joint.effects import (
 from .joint.model import KBI, Model
 from .joint.parameters import Parameter
 from .joint.response import simulate
+from .joint.scheme import Scheme
 from .measurement.example import example_trials
 from .measurement.noise import Noise, matched_noise
 from .measurement.perturbations import (
@@ -113,6 +114,7 @@ __all__ = [  # noqa: RUF022 -- in the order of use
     "CoulombFriction",
     "Gravity",
     "SecondMass",
+    "Scheme",
     "SensorDelay",
     "SensorLowpass",
     "SensorDrift",

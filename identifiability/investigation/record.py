@@ -137,11 +137,14 @@ def _next_experiment(following: NextExperiment | None) -> dict[str, Any] | None:
     }
 
 
-def _errors(candidate: Candidate) -> dict[str, float | None]:
+def _errors(candidate: Candidate) -> dict[str, float | str | None]:
+    """Errors of a fit, and how its model was integrated, with the error E of that."""
     held = candidate.held_out
     return {
         "error_fit": candidate.fitted.error,
         "error_held_out": held.error if held.by_trial else None,
+        "integration": str(candidate.scheme or ""),
+        "solver_error": candidate.solver_error,
     }
 
 
@@ -166,8 +169,6 @@ def _ranked(ranked: Ranked) -> dict[str, Any]:
         "fitted_to_the_end": candidate.thorough,
         "starts_agreeing": candidate.n_agreeing,
         "starts": candidate.n_starts,
-        "integration": str(candidate.scheme),
-        "solver_error": candidate.solver_error,
     }
 
 
