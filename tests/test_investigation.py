@@ -586,6 +586,7 @@ def test_the_command_finds_a_hidden_effect(tmp_path, capsys):
     plain = json.loads((out / "investigation.json").read_text())
     assert plain["schema"] == 1
     assert {"effects", "error_fit", "error_held_out", "noise_floor"} <= set(plain["baseline"])
+    assert plain["failures"] == {}
     verdict = plain["verdict"]
     assert outcome_of(case.kind, case.truth, verdict["kind"], verdict["equivalence_sets"]) in (
         "right",

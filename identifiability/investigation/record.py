@@ -16,6 +16,7 @@ from identifiability.investigation.next_experiment import NextExperiment
 from identifiability.investigation.search.gate import Ranked
 from identifiability.investigation.unexplained.account import Unexplained
 from identifiability.investigation.verdict.pinned import not_pinned_down
+from identifiability.investigation.where.record import comparison_record, location_record
 from identifiability.investigation.wording import verdict as wording
 from identifiability.investigation.wording.next_experiment import next_experiment_sentence
 from identifiability.investigation.wording.unexplained import unexplained_sentence
@@ -89,6 +90,10 @@ def investigation_record(findings: Findings, *, command: str = "") -> dict[str, 
             "descriptions": [_ranked(r) for r in found.descriptions],
             "fits": found.n_fits,
             "ended": found.ended,
+            "comparison": None
+            if findings.comparison is None
+            else comparison_record(findings.comparison),
+            "location": None if findings.location is None else location_record(findings.location),
             "unexplained": {
                 "baseline": _unexplained(findings.unexplained_before),
                 "final": _unexplained(findings.unexplained_after),
