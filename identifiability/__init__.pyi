@@ -1,4 +1,4 @@
-from .benchmark.cases import HiddenCase, hidden_cases
+from .benchmark.cases import CaseSpec, HiddenCase, hidden_cases
 from .errors import InputError
 from .inference.archive import to_datatree, write_netcdf
 from .inference.curvature import Curvature, curvature, largest_change
@@ -6,14 +6,14 @@ from .inference.fitting import Fit, fit, fit_simplex
 from .inference.problem import Observation, Prior, Problem, observe
 from .inference.profiles import Profile, profile
 from .inference.quadrature import Moments, quadrature
-from .inference.recordings import RecordingFit, fit_recordings
+from .inference.recordings import Goodness, HeldOut, RecordingFit, WindowFit, fit_recordings
 from .inference.sampling import Posterior, Sampler, sample
 from .inference.widths import Width, Widths, widths
 from .investigation.findings import Findings
 from .investigation.fits.candidate import Candidate, Residual
 from .investigation.fits.kept import OnDisk
 from .investigation.investigate import investigate
-from .investigation.next_experiment import Limits, NextExperiment
+from .investigation.next_experiment import Design, Limits, NextExperiment
 from .investigation.record import investigation_record
 from .investigation.rules import Rules
 from .investigation.search.found import Found, Missing, Ranking
@@ -22,10 +22,13 @@ from .investigation.search.smallest_seen import Detectable
 from .investigation.session import Investigation
 from .investigation.split import Split
 from .investigation.unexplained.account import Unexplained
+from .investigation.unexplained.explanation import Family
+from .investigation.unexplained.readouts import DelayReadout, MemoryKernel, MissingTorque, StaticMap
 from .investigation.verdict.judge import Verdict
 from .investigation.verdict.reasons import Reason
-from .investigation.where.compare import Comparison
+from .investigation.where.compare import Comparison, Constancy, Estimate, TrialRow
 from .investigation.where.locate import Location
+from .investigation.where.view import View
 from .investigation.wording.describe import describe
 from .joint.effects import (
     EFFECTS,
@@ -47,7 +50,7 @@ from .joint.effects import (
     ShortRangeStiffness,
     StretchReflex,
 )
-from .joint.model import KBI, Model
+from .joint.model import KBI, Model, Reaction
 from .joint.parameters import Parameter
 from .joint.response import simulate
 from .joint.scheme import Scheme
@@ -56,6 +59,7 @@ from .measurement.noise import Noise, matched_noise
 from .measurement.perturbations import (
     PERTURBATIONS,
     DoublePulse,
+    Drive,
     Impulse,
     Perturbation,
     Pulse,
@@ -66,6 +70,7 @@ from .measurement.perturbations import (
     multisine,
     prbs,
 )
+from .measurement.prepared import Prepared
 from .measurement.readers import read_trial
 from .measurement.trials import Trial, onsets
 from .plots.corner import corner_figure
@@ -80,10 +85,12 @@ from .study.setting import MSM, Setting, error_problem, measured_problem
 __all__ = [  # noqa: RUF022 -- in the order of use
     "InputError",
     "Trial",
+    "Prepared",
     "read_trial",
     "example_trials",
     "hidden_cases",
     "HiddenCase",
+    "CaseSpec",
     "onsets",
     "Perturbation",
     "PERTURBATIONS",
@@ -96,6 +103,7 @@ __all__ = [  # noqa: RUF022 -- in the order of use
     "multisine",
     "prbs",
     "imposed_motion",
+    "Drive",
     "Noise",
     "matched_noise",
     "Parameter",
@@ -119,6 +127,7 @@ __all__ = [  # noqa: RUF022 -- in the order of use
     "SensorLowpass",
     "SensorDrift",
     "Model",
+    "Reaction",
     "KBI",
     "simulate",
     "observe",
@@ -143,12 +152,19 @@ __all__ = [  # noqa: RUF022 -- in the order of use
     "Width",
     "fit_recordings",
     "RecordingFit",
+    "WindowFit",
+    "HeldOut",
+    "Goodness",
     "investigate",
     "Investigation",
     "Findings",
     "Split",
     "Comparison",
+    "TrialRow",
+    "Estimate",
+    "Constancy",
     "Location",
+    "View",
     "Rules",
     "OnDisk",
     "Residual",
@@ -159,11 +175,17 @@ __all__ = [  # noqa: RUF022 -- in the order of use
     "Found",
     "Detectable",
     "Unexplained",
+    "StaticMap",
+    "MissingTorque",
+    "MemoryKernel",
+    "DelayReadout",
+    "Family",
     "Verdict",
     "Reason",
     "describe",
     "Limits",
     "NextExperiment",
+    "Design",
     "investigation_record",
     "write_report",
     "to_datatree",

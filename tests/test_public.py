@@ -1,0 +1,48 @@
+"""What the public functions return is public too."""
+
+import dataclasses
+import inspect
+import typing
+
+import identifiability
+
+PUBLIC = {name: getattr(identifiability, name) for name in identifiability.__all__}
+
+
+def named(annotation):
+    """Classes of this package in an annotation."""
+    if isinstance(annotation, type) and annotation.__module__.startswith("identifiability."):
+        yield annotation
+    for part in typing.get_args(annotation):
+        yield from named(part)
+
+
+def hints(thing):
+    # What is imported for type checkers alone: axes that views are handed, and public names.
+    return typing.get_type_hints(thing, localns={"Axes": object} | PUBLIC)
+
+
+def given(thing):
+    """Annotations of what a public function returns, or a public class has and returns."""
+    if inspect.isfunction(thing):
+        yield hints(thing).get("return")
+    if not inspect.isclass(thing):
+        return
+    if dataclasses.is_dataclass(thing):
+        yield from hints(thing).values()
+    for name, _ in inspect.getmembers(thing):
+        member = inspect.getattr_static(thing, name)
+        member = member.fget if isinstance(member, property) else member
+        if not name.startswith("_") and inspect.isfunction(member):
+            yield hints(member).get("return")
+
+
+def test_what_is_given_is_public():
+    inner = {
+        kind.__qualname__
+        for thing in PUBLIC.values()
+        for annotation in given(thing)
+        for kind in named(annotation)
+        if kind not in PUBLIC.values() and not kind.__name__.startswith("_")
+    }
+    assert inner == set()
