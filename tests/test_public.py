@@ -4,6 +4,8 @@ import dataclasses
 import inspect
 import typing
 
+import xarray
+
 import identifiability
 
 PUBLIC = {name: getattr(identifiability, name) for name in identifiability.__all__}
@@ -19,7 +21,7 @@ def named(annotation):
 
 def hints(thing):
     # What is imported for type checkers alone: axes that views are handed, and public names.
-    return typing.get_type_hints(thing, localns={"Axes": object} | PUBLIC)
+    return typing.get_type_hints(thing, localns={"Axes": object, "xarray": xarray} | PUBLIC)
 
 
 def given(thing):
