@@ -178,18 +178,18 @@ class Stored(NamedTuple):
     remark: str
 
 
-def stamp(module: str) -> dict[str, str]:
-    """What a record says of the code that made it: version, module, and the module's fingerprint.
+def stamp(*modules: str) -> dict[str, str]:
+    """What a record says of the code that made it: version, modules, and their fingerprint.
 
     Parameters
     ----------
-    module : str
-        Which, with all that it imports, made the record.
+    *modules : str
+        Which, with all that they import, made the record.
     """
     return {
         "package": package_version(),
-        "code": code_fingerprint(module),
-        "code_of": module,
+        "code": code_fingerprint(*modules),
+        "code_of": " ".join(modules),
     }
 
 
@@ -211,7 +211,8 @@ def remark(record: Mapping[str, Any]) -> str:
     if not code:
         return "made by other code (it states no fingerprint)"
     try:
-        ours = code_fingerprint(record.get("code_of", ""))
+        # Modules may have gone since.
+        ours = code_fingerprint(*record["code_of"].split())
     except InputError:
         ours = ""
     if ours == code:

@@ -24,7 +24,7 @@ def trials(model, values, seed=1, noise=1e-3, conditions=None):
     out = []
     for i, (kind, size) in enumerate(conditions):
         drive = SampledTorque(torque(kind, size)).drive(TIME)
-        angle = simulate(model, theta, drive, substeps=None if model.linear else 2)
+        angle = simulate(model, theta, drive)
         sd = noise * np.sqrt(np.mean(angle**2))
         noisy = angle + sd * rng.standard_normal(angle.size)
         out.append(Trial(TIME, torque(kind, size), noisy, name=f"t{i}", condition=kind))
@@ -39,7 +39,6 @@ def record_that_grows(model, values, seed=1, noise=1e-3):
     t = np.arange(4000) / 1000
     rng = np.random.default_rng(seed)
     u = 8 * t / t[-1] * np.repeat(rng.choice([-1.0, 1.0], 200), 20)
-    substeps = None if model.linear else 2
-    angle = simulate(model, model.vector(values), SampledTorque(u).drive(t), substeps=substeps)
+    angle = simulate(model, model.vector(values), SampledTorque(u).drive(t))
     sd = noise * np.sqrt(np.mean(angle**2))
     return Trial(t, u, angle + sd * rng.standard_normal(t.size), name="growing")

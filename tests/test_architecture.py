@@ -145,14 +145,14 @@ ROOMS = (
     ("rules",),
     ("split",),
     ("fits",),
-    ("where", "unexplained", "search", "next_experiment"),
+    ("where", "unexplained", "search"),
     ("verdict",),
+    ("next_experiment",),
+    ("findings",),
     ("wording",),
+    ("session", "record"),
     ("investigate",),
-    ("record",),
 )
-# The verdict is made of sentences, and takes in this one.
-SENTENCES = {"identifiability.investigation.wording.unexplained"}
 ROOM_RANK = {name: rank for rank, row in enumerate(ROOMS) for name in row}
 
 
@@ -168,8 +168,6 @@ def test_rooms_of_the_investigation_follow_their_order(module):
     assert room in ROOM_RANK, f"{module} belongs to no room"
     for imported, node in imports(TREES[module]):
         other = room_of(imported)
-        if room == "verdict" and imported in SENTENCES:
-            continue
         assert not other or other == room or ROOM_RANK[other] < ROOM_RANK[room], (
             f"{module}, line {node.lineno}, imports {imported}, which is not below it"
         )
@@ -201,6 +199,17 @@ def test_the_command_line_starts_without_heavy_imports(module):
             assert layer_of(imported) in {"cli", "errors", "files"}, imported
         else:
             assert imported.split(".")[0] in sys.stdlib_module_names, imported
+
+
+def test_subcommands_share_options_and_not_each_other():
+    """The command line flows one way too; only the demonstration runs what it demonstrates."""
+    shared = {f"{PACKAGE}.cli.{name}" for name in ("options", "exits")}
+    for module, tree in TREES.items():
+        if layer_of(module) != "cli" or module.endswith((".main", ".demo")):
+            continue
+        inside = {m for m, _ in imports(tree) if m.startswith(f"{PACKAGE}.cli")}
+        assert inside <= shared, module
+        assert not (module in shared and inside), module
 
 
 # Documentation

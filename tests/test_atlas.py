@@ -4,6 +4,7 @@ import argparse
 import itertools
 import json
 import re
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -16,8 +17,9 @@ from identifiability.inference.fitting import fit
 from identifiability.inference.widths import VERDICTS
 from identifiability.measurement.perturbations import PERTURBATIONS
 from identifiability.plots.atlas import maps
-from identifiability.study.atlas import N_DRAWS, Cell, Plan, plan_from, read_plan
-from identifiability.study.atlas_page import MOST_LISTED, page
+from identifiability.provenance import code_fingerprint, read_record
+from identifiability.report.atlas import MOST_LISTED, page
+from identifiability.study.atlas import N_DRAWS, Cell, Plan, plan_from, read_plan, run_atlas
 from identifiability.study.atlas_record import record
 from identifiability.study.setting import error_problem
 from identifiability.study.store import CELL, FIELDS, to_dataset, write_atlas
@@ -203,6 +205,20 @@ def made_up_outcomes(plan: Plan, *, failing: int = 0) -> dict[str, Outcome]:
     return outcomes
 
 
+def test_cells_run_on_any_executor(plan, tmp_path, monkeypatch):
+    monkeypatch.setattr("identifiability.study.atlas.evaluate", made_up)
+    pools = []
+
+    def executor() -> ThreadPoolExecutor:
+        pools.append(ThreadPoolExecutor(2))
+        return pools[-1]
+
+    outcomes = run_atlas(plan, tmp_path, executor=executor, progress=False)
+    assert len(pools) == 1
+    assert {name: o.status for name, o in outcomes.items()} == dict.fromkeys(plan.cells(), "done")
+    assert all(o.resumed for o in run_atlas(plan, tmp_path, progress=False).values())
+
+
 @pytest.fixture(scope="module")
 def plan() -> Plan:
     return plan_from({"K_CE": [10, 50, 200], "B_CE": [2, 30], "ratio": [2], "T": [0.05, 0.2]})
@@ -316,7 +332,7 @@ def test_an_atlas_of_nothing_but_failures_still_has_a_page(plan):
 
 
 def test_the_committed_page_is_made_from_the_committed_record():
-    found = json.loads((RESULTS / "atlas.json").read_text(encoding="utf-8"))
+    found = read_record(RESULTS / "atlas.json").record
     assert (RESULTS / "atlas.md").read_bytes() == page(found).encode()
     for figure in found["figures"] + found["corners"]:
         assert (RESULTS / figure["file"]).is_file()
@@ -358,7 +374,9 @@ def test_an_atlas_of_two_cells_from_end_to_end(tmp_path, capsys):
     assert ratio[0] < 0.7
     assert ratio[1] == pytest.approx(1, abs=0.05)
 
-    summary = json.loads((out / "atlas.json").read_text(encoding="utf-8"))
+    assert data.attrs["code"] == code_fingerprint("identifiability.study.store")
+    summary, remark = read_record(out / "atlas.json")
+    assert remark == ""
     assert (out / "atlas.md").read_bytes() == page(summary).encode()
     assert all((out / figure["file"]).is_file() for figure in summary["figures"])
     assert len(summary["figures"]) == 5
@@ -390,7 +408,7 @@ def test_failed_cells_are_told_and_set_the_exit_code(tmp_path, monkeypatch, caps
 
 @pytest.mark.parametrize(
     ("arguments", "expected"),
-    [(["--workers", "0"], "found 0 workers"), (["missing.toml"], "cannot read 'missing.toml'")],
+    [(["--workers", "0"], "found --workers 0"), (["missing.toml"], "cannot read 'missing.toml'")],
 )
 def test_wrong_options_are_told_in_one_sentence(tmp_path, arguments, expected):
     with pytest.raises(InputError, match=expected):

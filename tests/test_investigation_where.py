@@ -67,7 +67,7 @@ def responses(model, values=(), loads=LOADS):
     out = []
     for kind, amplitude in loads:
         drive = SampledTorque(torque_of(kind, amplitude)).drive(TIME)
-        out.append(simulate(model, theta, drive, substeps=None if model.linear else 1))
+        out.append(simulate(model, theta, drive))
     return out
 
 
@@ -557,6 +557,13 @@ def test_figures_have_a_panel_for_everything_and_labels_with_units():
     changed = figure.axes[0].get_title()
     assert "window" in changed
     assert "changes" in changed
+
+
+def test_a_parameter_at_its_bound_of_zero_has_an_axis_all_the_same():
+    comparison, _ = findings(KBI() + StretchReflex(), FAST_REFLEX)
+    assert comparison.overall.values[1] == 0.0
+    low, high = comparison_figure(comparison).axes[5].get_ylim()
+    assert high - low > comparison.overall.errors[1]
 
 
 def test_the_overlay_shows_at_most_eight_trials():

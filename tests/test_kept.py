@@ -9,6 +9,7 @@ from hidden import HELD, JOINT, trials
 from identifiability.errors import InputError
 from identifiability.inference import fitting
 from identifiability.investigation.fits import bench as workbench
+from identifiability.investigation.fits import kept
 from identifiability.investigation.fits.bench import Workbench
 from identifiability.investigation.fits.kept import KeepingWorkbench
 from identifiability.investigation.investigate import investigate
@@ -76,6 +77,18 @@ def test_another_question_is_another_fit(tmp_path, split, fits):
     ask(trials_=replace(split, held_out=split.held_out[:1]))
     ask(trials_=split.without_leads())
     assert len(fits) == len(list(tmp_path.iterdir())) == 7
+
+
+def test_a_fit_of_other_code_is_not_read(tmp_path, split, fits, monkeypatch):
+    first = KeepingWorkbench(split, folder=tmp_path).fit(KBI(), [JOINT])
+    with monkeypatch.context() as patched:
+        patched.setattr(kept, "code_fingerprint", lambda module: "0" * 32)
+        assert kept.kept_fits(tmp_path) == []
+        KeepingWorkbench(split, folder=tmp_path).fit(KBI(), [JOINT])
+        assert len(fits) == 2
+    assert_same(first, KeepingWorkbench(split, folder=tmp_path).fit(KBI(), [JOINT]))
+    assert len(fits) == 2
+    assert len(kept.kept_fits(tmp_path)) == 1
 
 
 def test_a_damaged_file_is_written_anew(tmp_path, split, fits):

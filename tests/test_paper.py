@@ -1,7 +1,7 @@
 """Kistemaker & Rozendaal (2011), computed again: oracles, the command, the committed results."""
 
 import argparse
-import json
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -19,10 +19,12 @@ from identifiability.measurement.perturbations import (
     Sinusoid,
     Step,
 )
+from identifiability.provenance import read_record
+from identifiability.report.markdown import number, percent
+from identifiability.report.paper import PUBLISHED, page
 from identifiability.study import paper
 from identifiability.study.approximations import high_frequency, low_frequency
 from identifiability.study.paper_record import nearest_example, relative_change
-from identifiability.study.replication import PUBLISHED, number, page, percent
 from identifiability.study.setting import Setting, error_problem
 
 RESULTS = Path(__file__).parents[1] / "results"
@@ -202,6 +204,13 @@ def test_an_optimum_on_a_bound_is_recorded_and_left_out():
     assert np.isnan(data.E.sel(perturbation="impulse")).all()
 
 
+def test_rows_run_on_any_executor():
+    tasks = [paper.Row("impulse", 5.0, 0.05, 160.0, (2.0,), paper.DE)]
+    found, failed = paper.compute_rows(tasks, folder=None, executor=lambda: ThreadPoolExecutor(1))
+    assert failed == []
+    np.testing.assert_array_equal(found[tasks[0]], paper.compute_row(tasks[0])["cells"])
+
+
 def test_numbers_are_written_plainly():
     assert number(54.977, 4) == "54.98"
     assert number(88.0, 2) == "88"
@@ -230,7 +239,8 @@ def test_quick_from_end_to_end(tmp_path, capsys):
     assert "paper.md" in capsys.readouterr().out
     assert not (tmp_path / "paper.cells").exists()
 
-    found = json.loads((tmp_path / "paper.json").read_text(encoding="utf-8"))
+    found, remark = read_record(tmp_path / "paper.json")
+    assert remark == ""
     assert found["quick"] is True
     text = (tmp_path / "paper.md").read_text(encoding="utf-8")
     assert text == page(found)
@@ -255,7 +265,7 @@ def test_quick_from_end_to_end(tmp_path, capsys):
 
 @needs_results
 def test_the_committed_page_is_that_of_the_committed_record():
-    found = json.loads((RESULTS / "paper.json").read_text(encoding="utf-8"))
+    found = read_record(RESULTS / "paper.json").record
     text = page(found)
     assert (RESULTS / "paper.md").read_text(encoding="utf-8") == text
     assert not found["quick"]
@@ -266,7 +276,7 @@ def test_the_committed_page_is_that_of_the_committed_record():
 
 @needs_results
 def test_the_committed_averages_are_the_expected_ones():
-    found = json.loads((RESULTS / "paper.json").read_text(encoding="utf-8"))["sensitivity"]
+    found = read_record(RESULTS / "paper.json").record["sensitivity"]
     means = {"T50": (0.602, 7.56), "T100": (0.113, 0.56), "T200": (0.062, 0.038)}
     for window, (stiffness, damping) in means.items():
         assert found[window]["cells"] == 300

@@ -136,9 +136,7 @@ def test_what_is_said_of_a_parameter_that_is_not_pinned_down(optimum, interval, 
         profile_sides=sides,
         verdict="agrees",
     )
-    found = " ".join(
-        map(loose_sentence, not_pinned_down(SimpleNamespace(rows=[row]), Rules().loose))
-    )
+    found = " ".join(loose_sentence(p) for p in not_pinned_down(SimpleNamespace(rows=[row]), 0.5))
     assert (said in found) if said else not found
 
 

@@ -1,84 +1,93 @@
-"""Runs the investigation over hidden cases, each kept as soon as it is done."""
+"""Runs the investigation over hidden cases, on all cores, each kept as soon as it is done."""
 
 from __future__ import annotations
 
 import json
 import time
 from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
 from pathlib import Path
+
+import numpy as np
 
 from identifiability.benchmark.cases import CaseSpec, hidden_cases
 from identifiability.benchmark.score import Score, matched, outcome_of
-from identifiability.errors import InputError
-from identifiability.files import write_json
 from identifiability.investigation.investigate import investigate
-from identifiability.provenance import package_version
+from identifiability.sweep.outcome import Arrays, Outcome
+from identifiability.sweep.run import sweep
 
 WHOLE = ("singles", "pairs", "unknown", "controls", "nulls")
-
-Progress = Callable[[str, int, int, float], None]
+TIME_LIMIT = 1800.0  # for one case [s]; the slowest take some minutes
 
 
 def run_benchmark(
     tiers: Sequence[str],
-    folder: Path,
+    folder: Path | None,
     *,
-    seed: int = 1,
+    seeds: Sequence[int] = (1,),
     every: int = 1,
-    progress: Progress = lambda what, done, total, left: None,
-) -> list[Score]:
+    workers: int | None = None,
+    executor: Callable[[], Executor] | None = None,
+    progress: bool = True,
+) -> tuple[dict[int, list[Score]], list[Outcome]]:
     """Investigate every case of some tiers; what was done before is not done again.
 
     Parameters
     ----------
     tiers : sequence of str
-    folder : Path
-        Where each case's score is kept, one file a case.
-    seed : int
+    folder : Path or None
+        Where each case's score is kept.
+    seeds : sequence of int
+        Every seed makes other cases.
     every : int
         Take every so-many-th case.
-    progress : callable
-        Told ``(what, done, total, seconds left)``.
+    workers, executor, progress
+        See `sweep`.
+
+    Returns
+    -------
+    scores : dict of int to list of Score
+        By seed, in the order of the tiers; a case without a result is there as "failed".
+    outcomes : list of Outcome
+        What became of each case as a task.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    specs = [(tier, spec) for tier in tiers for spec in hidden_cases(tier, seed)[::every]]
-    scores, spent, fresh = [], 0.0, 0
-    for done, (tier, spec) in enumerate(specs):
-        path = folder / f"{spec.name}-{seed}.json"
-        kept = _kept(path)
-        if kept is None:
-            left = spent / fresh * (len(specs) - done) if fresh else float("nan")
-            progress(spec.name, done, len(specs), left)
-            began = time.perf_counter()
-            kept = score(tier, spec)
-            spent, fresh = spent + time.perf_counter() - began, fresh + 1
-            write_json(path, {"package": package_version(), **kept.to_dict()})
-        scores.append(kept)
-    return scores
+    tasks = {
+        f"{spec.name}, seed {seed}": (tier, spec)
+        for seed in seeds
+        for tier in tiers
+        for spec in hidden_cases(tier, seed)[::every]
+    }
+    outcomes = sweep(
+        scored,
+        tasks,
+        folder=folder,
+        label="benchmark",
+        workers=workers,
+        timeout_s=None if executor else TIME_LIMIT,
+        executor=executor,
+        progress=progress,
+    )
+    scores: dict[int, list[Score]] = {seed: [] for seed in seeds}
+    for name, (tier, spec) in tasks.items():
+        found = outcomes[name]
+        scores[spec.seed].append(
+            failed(tier, spec, found.cause)
+            if found.arrays is None
+            else Score.from_dict(json.loads(str(found.arrays["score"])))
+        )
+    return scores, list(outcomes.values())
+
+
+def scored(task: tuple[str, CaseSpec]) -> Arrays:
+    """Score of a tier's case, as a sweep keeps it: JSON in an array of one text."""
+    return {"score": np.array(json.dumps(score(*task).to_dict()))}
 
 
 def score(tier: str, spec: CaseSpec) -> Score:
     """Build one case, investigate it and compare the verdict with the truth."""
     began = time.perf_counter()
-    try:
-        case = spec.build()
-        findings = investigate(case.fit, case.held_out, with_widths=False, seed=spec.seed)
-    except (InputError, ArithmeticError, ValueError) as error:
-        return Score(
-            spec.name,
-            tier,
-            spec.kind,
-            spec.keys,
-            False,
-            spec.recorder.ratio,
-            "",
-            (),
-            "failed",
-            None,
-            None,
-            time.perf_counter() - began,
-            failure=str(error),
-        )
+    case = spec.build()
+    findings = investigate(case.fit, case.held_out, with_widths=False, seed=spec.seed)
     verdict, found = findings.verdict, findings.found
     first = None
     if found.missing and spec.kind == "known":
@@ -103,11 +112,20 @@ def score(tier: str, spec: CaseSpec) -> Score:
     )
 
 
-def _kept(path: Path) -> Score | None:
-    try:
-        plain = json.loads(path.read_text(encoding="utf-8"))
-        if plain.pop("package") != package_version():
-            return None
-        return Score.from_dict(plain)
-    except (OSError, ValueError, KeyError, TypeError):
-        return None
+def failed(tier: str, spec: CaseSpec, cause: str) -> Score:
+    """Score of a case that has no verdict."""
+    return Score(
+        spec.name,
+        tier,
+        spec.kind,
+        spec.keys,
+        False,
+        spec.recorder.ratio,
+        "",
+        (),
+        "failed",
+        None,
+        None,
+        None,
+        failure=cause,
+    )

@@ -35,7 +35,8 @@ class Score:
         or nothing is hidden.
     removed : float or None
         Share of the held-out misfit beyond the noise that the final model removed.
-    seconds : float
+    seconds : float or None
+        ``None`` where there is no verdict.
     rungs : tuple of (str, float, float)
         Errors of the fitted and the held-out trials: of the baseline ("") and with every effect.
     failure : str
@@ -52,7 +53,7 @@ class Score:
     outcome: str
     first_pick: bool | None
     removed: float | None
-    seconds: float
+    seconds: float | None
     rungs: tuple[tuple[str, float, float], ...] = ()
     failure: str = ""
 

@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 import argparse
-import sys
-from pathlib import Path
 from typing import Any
 
+from identifiability.cli.exits import PARTIAL, complain
+from identifiability.cli.options import (
+    add_out_option,
+    add_workers_option,
+    check_seed,
+    check_workers,
+)
 from identifiability.errors import InputError
 
 
@@ -27,47 +32,52 @@ def add_parser(commands: Any) -> None:
         help="tiers of cases (all but quick)",
     )
     parser.add_argument("--every", type=int, default=1, metavar="N", help="every N-th case (1)")
-    parser.add_argument("--seed", type=int, default=1, help="of the cases (1)")
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for results")
+    parser.add_argument(
+        "--seed",
+        nargs="+",
+        type=int,
+        default=[1],
+        help="of the cases (1); several stand side by side",
+    )
+    add_out_option(parser)
+    add_workers_option(parser)
     parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the subcommand."""
+    check_workers(options)
+    for seed in options.seed:
+        check_seed(seed)
+    if options.every < 1:
+        raise InputError(f"found --every {options.every}, expected 1 or more")
     from identifiability.benchmark.cases import hidden_cases
-    from identifiability.benchmark.page import page, summary
+    from identifiability.benchmark.record import benchmark_record
     from identifiability.benchmark.run import WHOLE, run_benchmark
-    from identifiability.cli.main import PARTIAL
     from identifiability.files import output_folder, write_json, write_text
     from identifiability.plots.benchmark import confusion_figure
     from identifiability.plots.style import save
+    from identifiability.report.benchmark import page
 
-    if options.seed < 0 or options.every < 1:
-        raise InputError("the seed must be 0 or more, and --every 1 or more")
     tiers = tuple(options.tier or WHOLE)
+    seeds = tuple(dict.fromkeys(options.seed))
     out = output_folder(options.out)
-    scores = run_benchmark(
-        tiers,
-        out / "investigation.cells",
-        seed=options.seed,
-        every=options.every,
-        progress=_announce,
+    cells = out / "investigation.cells"
+    scores, outcomes = run_benchmark(
+        tiers, cells, seeds=seeds, every=options.every, workers=options.workers
     )
-    tried = sum(len(hidden_cases(tier, options.seed)) for tier in tiers)
-    record = summary(scores, seed=options.seed, tried=tried)
+    tried = sum(len(hidden_cases(tier, seed)) for tier in tiers for seed in seeds)
+    record = benchmark_record(scores, tried=tried)
     write_json(out / "investigation.json", record)
-    save(confusion_figure(scores), out / "investigation" / "confusion.png")
+    everything = [score for of_seed in scores.values() for score in of_seed]
+    save(confusion_figure(everything), out / "investigation" / "confusion.png")
     write_text(out / "investigation.md", page(record))
-    for name, t in record["tiers"].items():
-        low, high = t["right_interval"]
-        print(
-            f"{name}: {t['right']} of {t['n']} right ({100 * low:.0f} to {100 * high:.0f} %), "
-            f"{t['wrong']} wrong"
-        )
+    for of_seed in record["runs"]:
+        for name, t in of_seed["tiers"].items():
+            low, high = t["right_interval"]
+            print(
+                f"seed {of_seed['seed']}, {name}: {t['right']} of {t['n']} right "
+                f"({100 * low:.0f} to {100 * high:.0f} %), {t['wrong']} wrong"
+            )
     print(f"\nwritten: {out}/investigation.md, investigation.json, investigation/confusion.png")
-    return PARTIAL if any(s.outcome == "failed" for s in scores) else 0
-
-
-def _announce(what: str, done: int, total: int, left: float) -> None:
-    rest = "" if left != left else f", about {left / 60:.0f} min left"
-    print(f"[{done + 1}/{total}{rest}] {what}", file=sys.stderr, flush=True)
+    return PARTIAL if complain(outcomes, cells) else 0

@@ -26,10 +26,6 @@ def run(options: argparse.Namespace) -> int:
     """Run the subcommand."""
     from tqdm import tqdm
 
-    from identifiability.cli.fit import save_results, summary
-    from identifiability.cli.investigate import save as save_findings
-    from identifiability.cli.investigate import summary as findings_summary
-    from identifiability.cli.widths import save_setting, table
     from identifiability.files import output_folder
     from identifiability.inference.recordings import fit_recordings
     from identifiability.inference.widths import widths
@@ -37,6 +33,9 @@ def run(options: argparse.Namespace) -> int:
     from identifiability.investigation.wording.verdict import verdict_sentence
     from identifiability.measurement.example import B_CE, INERTIA, K_CE, K_SE, example_trials
     from identifiability.measurement.perturbations import Impulse
+    from identifiability.report.fit import fit_text, write_fit
+    from identifiability.report.investigation import investigation_text, write_investigation
+    from identifiability.report.widths import widths_text, write_widths
     from identifiability.study.setting import Setting, measured_problem
 
     out = output_folder(options.out)
@@ -49,7 +48,7 @@ def run(options: argparse.Namespace) -> int:
             bar.set_description(f"paper's setting, T = {1000 * window:g} ms")
             problem = measured_problem(setting, Impulse(), window)
             results.append(widths(problem, starts=setting.starts(), seed=1))
-            save_setting(
+            write_widths(
                 problem, results[-1], out / f"T{1000 * window:g}", f"T = {1000 * window:g} ms"
             )
             bar.update()
@@ -59,14 +58,14 @@ def run(options: argparse.Namespace) -> int:
             bar.update(done > 1)
 
         recording = fit_recordings(trials, window_lengths=lengths, seed=1, progress=advance)
-        save_results(recording, out / "trials")
+        write_fit(recording, out / "trials")
         bar.update()
         findings = investigate(
             trials,
             seed=1,
             progress=lambda what, done, total: bar.set_description(f"what is missing, {what}"),
         )
-        save_findings(findings, out / "investigation", command="identifiability demo")
+        write_investigation(findings, out / "investigation", command="identifiability demo")
         bar.update()
 
     stiffness = [f"{r['K'].optimum:.0f}" for r in results]
@@ -98,11 +97,11 @@ What was found
     )
     for window, result in zip(lengths, results, strict=True):
         print(f"\nThe paper's setting, T = {1000 * window:g} ms: {result.verdict}; {result.reason}")
-        print(table(result))
+        print(widths_text(result))
     print("\nThe shipped trials (simulated, not measured)")
-    print(summary(recording))
+    print(fit_text(recording))
     print("\nWhat the fit misses")
-    print(findings_summary(findings))
+    print(investigation_text(findings))
     print(
         f"\nwritten: {out}/T50, T100, T200 and trials, with corner plots and figures, and\n"
         f"{out}/investigation/report.html"

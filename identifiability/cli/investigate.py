@@ -6,13 +6,16 @@ import argparse
 import shutil
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from identifiability.cli.fit import (
+from identifiability.cli.options import (
+    add_bounds_option,
     add_file_options,
     add_lowpass_option,
+    add_out_option,
+    add_seed_option,
+    check_seed,
     parse_bounds,
     parse_lowpass,
     read_trials,
@@ -20,7 +23,7 @@ from identifiability.cli.fit import (
 from identifiability.errors import InputError
 
 if TYPE_CHECKING:
-    from identifiability.investigation.findings import Findings
+    from identifiability.progress import Progress
 
 
 def add_parser(commands: Any) -> None:
@@ -44,13 +47,7 @@ def add_parser(commands: Any) -> None:
         help="a trial that no model is fitted to (may be repeated; chosen by itself if none is)",
     )
     add_lowpass_option(parser)
-    parser.add_argument(
-        "--bounds",
-        nargs="+",
-        default=[],
-        metavar="NAME=LOW:HIGH",
-        help="other bounds than the physical ones, for example I=1e-7:0.01",
-    )
+    add_bounds_option(parser)
     parser.add_argument("--most", type=int, default=3, metavar="N", help="most effects to add (3)")
     parser.add_argument(
         "--limits",
@@ -60,19 +57,20 @@ def add_parser(commands: Any) -> None:
         help="what the next experiment may do, for example torque=20 angle=0.3 duration=1",
     )
     parser.add_argument("--no-widths", action="store_true", help="skip the parameters' widths")
-    parser.add_argument("--seed", type=int, default=1, help="of starts and sampler (1)")
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for results")
+    add_seed_option(parser, "starts and sampler")
+    add_out_option(parser)
     parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the subcommand."""
     from identifiability.files import output_folder
+    from identifiability.investigation.fits.kept import kept_fits
     from identifiability.investigation.investigate import investigate
     from identifiability.measurement.readers import readable_files
+    from identifiability.report.investigation import investigation_text, write_investigation
 
-    if options.seed < 0:
-        raise InputError(f"found the seed {options.seed}, expected 0 or more")
+    check_seed(options.seed)
     if not 0 <= options.most <= 3:
         raise InputError(f"found --most {options.most}, expected 0 to 3 effects")
     lowpass = parse_lowpass(options.lowpass)
@@ -86,7 +84,7 @@ def run(options: argparse.Namespace) -> int:
     limits = _limits(options.limits, [*trials, *held_out])
     out = output_folder(options.out)
     fits = out / "fits"
-    if n_fits := sum(1 for _ in fits.glob("*.npz")):
+    if n_fits := len(kept_fits(fits)):
         print(f"{n_fits} fits of a run that was stopped are not done again", file=sys.stderr)
     findings = investigate(
         trials,
@@ -100,58 +98,11 @@ def run(options: argparse.Namespace) -> int:
         kept=fits,
         progress=_clock(),
     )
-    written = save(findings, out, command=_command())
+    written = write_investigation(findings, out, command=_command())
     shutil.rmtree(fits, ignore_errors=True)
-    print(summary(findings))
+    print(investigation_text(findings))
     print(f"\nwritten: {out}/" + ", ".join(written))
     return 0
-
-
-def save(findings: Findings, out: Path, *, command: str) -> list[str]:
-    """Write record, report and figures into a folder; returns the files' names."""
-    from identifiability.files import write_json
-    from identifiability.investigation.record import investigation_record
-    from identifiability.report.investigation import write_report
-
-    plain = investigation_record(findings, command=command)
-    write_json(out / "investigation.json", plain)
-    figures = write_report(findings, plain, out)
-    return ["investigation.json", "report.html", *figures]
-
-
-def summary(findings: Findings) -> str:
-    """What was found, as text."""
-    from identifiability.investigation.verdict.pinned import interval, not_pinned_down
-    from identifiability.investigation.wording import verdict as words
-    from identifiability.investigation.wording.next_experiment import next_experiment_sentence
-    from identifiability.investigation.wording.pinned import loose_sentence
-
-    found, floor = findings.found, findings.split.noise_floor()
-    names = ["baseline" if found.baseline.keys else "K, B, I"]
-    names += [f"+ {words.plain(m.name)}" for m in found.missing]
-    lines = [
-        words.verdict_sentence(findings),
-        "",
-        f"{'model':<34}{'E fitted':>12}{'E held out':>12}",
-    ]
-    for name, rung in zip(names, found.ladder, strict=True):
-        lines.append(f"{name:<34}{rung.fitted.error:>12.3g}{rung.held_out.error:>12.3g}")
-    lines.append(f"{'noise floor':<34}" + (f"{floor:>12.3g}" if floor else f"{'unknown':>12}"))
-    lines += ["", *words.because(findings)]
-    if findings.next_experiment is not None:
-        lines += ["", f"Next experiment. {next_experiment_sentence(findings.next_experiment)}"]
-    if findings.widths is not None:
-        lines.append("")
-        for row in findings.widths.rows:
-            low, high, source = interval(row)
-            lines.append(
-                f"{row.name} = {row.optimum:.4g} (95 % by {source}: {low:.4g} to {high:.4g}): "
-                f"{row.verdict}"
-            )
-        loose = not_pinned_down(findings.widths, findings.split.rules.loose)
-        lines += ["", *map(loose_sentence, loose)]
-    lines += [f"note: {warning}" for warning in findings.warnings]
-    return "\n".join(lines)
 
 
 def _limits(texts: list[str], trials: list[Any]) -> Any:
@@ -178,7 +129,7 @@ def _limits(texts: list[str], trials: list[Any]) -> Any:
     return Limits(**limits)
 
 
-def _clock() -> Callable[[str, int, int], None]:
+def _clock() -> Progress:
     began = time.monotonic()
 
     def announce(what: str, done: int, total: int) -> None:

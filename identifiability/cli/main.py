@@ -7,9 +7,8 @@ import os
 import sys
 from collections.abc import Sequence
 
+from identifiability.cli.exits import INTERRUPTED, USAGE
 from identifiability.errors import InputError
-
-USAGE, PARTIAL, INTERRUPTED = 2, 3, 130
 
 
 def parser() -> argparse.ArgumentParser:

@@ -5,10 +5,10 @@ from __future__ import annotations
 import argparse
 import shutil
 import sys
-from pathlib import Path
 from typing import Any
 
-from identifiability.errors import InputError
+from identifiability.cli.exits import PARTIAL
+from identifiability.cli.options import add_out_option, add_workers_option, check_workers
 
 
 def add_parser(commands: Any) -> None:
@@ -20,31 +20,26 @@ def add_parser(commands: Any) -> None:
         "Kistemaker & Rozendaal (2011), redraw their figures, and write a page with the published "
         "numbers beside ours: paper.json, paper.nc, paper.md and the folder paper/ with figures.",
     )
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for results")
+    add_out_option(parser)
     parser.add_argument(
         "--quick", action="store_true", help="a coarser grid, K_SE = 5 K_CE alone: under a minute"
     )
-    parser.add_argument(
-        "--workers", type=int, metavar="N", help="processes (default: the number of cores)"
-    )
+    add_workers_option(parser)
     parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the subcommand."""
-    if options.workers is not None and options.workers < 1:
-        raise InputError(f"found --workers {options.workers}, expected 1 or more")
+    check_workers(options)
 
     import numpy as np
 
-    from identifiability.cli.main import PARTIAL
     from identifiability.files import output_folder, replacing, write_json, write_text
     from identifiability.plots import paper as draw
     from identifiability.plots.style import save
-    from identifiability.provenance import package_version
+    from identifiability.report.paper import page
     from identifiability.study import paper as study
     from identifiability.study.paper_record import RATIO, nearest_example, record
-    from identifiability.study.replication import page
 
     out = output_folder(options.out)
     K, B = study.coarse() if options.quick else (study.K_CE, study.B_CE)
@@ -78,7 +73,6 @@ def run(options: argparse.Namespace) -> int:
         example=example,
         wider=wider,
         quick=options.quick,
-        package=package_version(),
     )
 
     figures = {

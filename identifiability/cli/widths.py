@@ -3,14 +3,10 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from identifiability.cli.options import add_out_option, add_seed_option, check_seed
 from identifiability.errors import InputError
-
-if TYPE_CHECKING:
-    from identifiability.inference.problem import Problem
-    from identifiability.inference.widths import Widths
 
 
 def add_parser(commands: Any) -> None:
@@ -57,8 +53,8 @@ def add_parser(commands: Any) -> None:
         metavar="SEED",
         help="add a noise realisation to the response (by default it is the expected one)",
     )
-    parser.add_argument("--seed", type=int, default=1, help="of the sampler (1)")
-    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for results")
+    add_seed_option(parser, "the sampler")
+    add_out_option(parser)
     parser.set_defaults(run=run)
 
 
@@ -68,6 +64,7 @@ def run(options: argparse.Namespace) -> int:
     from identifiability.inference.problem import Prior
     from identifiability.inference.widths import widths
     from identifiability.measurement.perturbations import PERTURBATIONS
+    from identifiability.report.widths import widths_text, write_widths
     from identifiability.study.setting import Setting, measured_problem
 
     if options.perturbation not in PERTURBATIONS:
@@ -87,8 +84,7 @@ def run(options: argparse.Namespace) -> int:
     )
     if options.no_bounds:
         problem = problem.with_prior(Prior.unbounded(problem.model))
-    if options.seed < 0:
-        raise InputError(f"found the seed {options.seed}, expected 0 or more")
+    check_seed(options.seed)
     out = output_folder(options.out)
     result = widths(problem, starts=setting.starts(), seed=options.seed)
     conditions = {
@@ -108,49 +104,9 @@ def run(options: argparse.Namespace) -> int:
         f"MSM {' '.join(f'{v:g}' for v in options.msm)}, {options.perturbation}, "
         f"T = {1000 * options.window:g} ms, {options.noise}"
     )
-    save_setting(problem, result, out, title, conditions)
-    print(table(result))
+    write_widths(problem, result, out, title, conditions)
+    print(widths_text(result))
     print(f"\n{result.verdict}: {result.reason}")
     print(f"sampler: {result.posterior.step}, because {result.posterior.reason}")
     print(f"written: {out / 'widths.json'}, {out / 'posterior.nc'}, {out / 'corner.png'}")
     return 0
-
-
-def save_setting(
-    problem: Problem,
-    result: Widths,
-    out: Path,
-    title: str,
-    conditions: dict[str, Any] | None = None,
-) -> None:
-    """Write posterior, corner plot and record of one setting into a folder."""
-    from identifiability.files import write_json
-    from identifiability.inference.archive import write_netcdf
-    from identifiability.plots.corner import corner_figure
-    from identifiability.plots.style import save
-    from identifiability.provenance import package_version
-
-    write_netcdf(problem, result, out / "posterior.nc")
-    save(corner_figure(result, problem.model, title=title), out / "corner.png")
-    record = {"schema": 1, "package": package_version(), **(conditions or {}), **result.to_dict()}
-    write_json(out / "widths.json", record)
-
-
-def table(result: Widths) -> str:
-    """All widths side by side, as text."""
-    columns = [
-        ("optimum", "optimum"),
-        ("slice", "slice"),
-        ("quadratic", "quadratic"),
-        ("Gauss-N.", "gauss_newton"),
-        ("sandwich", "sandwich"),
-        ("profile", "profile"),
-        ("posterior", "posterior_sd"),
-        ("quadrature", "quadrature_sd"),
-    ]
-    head = f"{'':24}" + "".join(f"{title:>11}" for title, _ in columns) + "  verdict"
-    lines = [head]
-    for row in result.rows:
-        cells = "".join(f"{getattr(row, field):>11.4g}" for _, field in columns)
-        lines.append(f"{row.name + ' [' + row.unit + ']':24}{cells}  {row.verdict}")
-    return "\n".join(lines)

@@ -10,7 +10,7 @@ import numpy as np
 from identifiability.files import replacing
 from identifiability.inference.problem import Problem
 from identifiability.inference.widths import Widths
-from identifiability.provenance import package_version
+from identifiability.provenance import stamp
 
 if TYPE_CHECKING:
     import xarray
@@ -83,7 +83,7 @@ def to_datatree(problem: Problem, result: Widths) -> xarray.DataTree:
                 dataset.coords[dimension] = np.arange(dataset.sizes[dimension])
     tree = xarray.DataTree.from_dict(groups)
     tree.attrs = {
-        "package": f"identifiability {package_version()}",
+        **stamp(__name__),
         "model": repr(problem.model),
         "seed": posterior.seed,
         "sampler": posterior.step,

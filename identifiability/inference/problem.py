@@ -24,6 +24,7 @@ from identifiability.joint.integrator import integrate
 from identifiability.joint.model import Model
 from identifiability.joint.programs import make_room, quickly_compiled
 from identifiability.joint.response import exact_response
+from identifiability.joint.scheme import Scheme
 from identifiability.measurement.noise import Noise
 from identifiability.measurement.perturbations import Drive
 
@@ -149,15 +150,15 @@ def observe(
 class Data(NamedTuple):
     """Observations stacked for compiled functions, padded to the longest; leading axis: trials.
 
-    The interval is a single one where all trials share it.
+    The interval is a single one where all trials share it; so are the integration steps in it.
     """
 
     interval: Array
+    substeps: Array
     generator: Array
     readout: Array
     states: Array
     impulses: Array
-    fine: Array
     measured: Array
     scale: Array
     carry: Array
@@ -167,9 +168,7 @@ class Data(NamedTuple):
     offsets: Array
 
 
-def _stack(
-    observations: Sequence[Observation], substeps: int | None, room: tuple[int, int]
-) -> Data:
+def _stack(observations: Sequence[Observation], substeps: int, room: tuple[int, int]) -> Data:
     drives = [o.drive for o in observations]
     rows = max(len(drives), room[0])
     longest = max(room[1], *(len(d.states) for d in drives))
@@ -187,16 +186,13 @@ def _stack(
         firsts.append(firsts[-1] if o.continues else used)
         used = max(used, firsts[-1] + o.n_offsets)
     n_offsets = 0 if used == 0 else 1 << (used - 1).bit_length()
-    fine = np.zeros((rows, 0))
-    if substeps is not None:
-        fine = padded([d.refined(substeps) for d in drives])[:, : longest - 1]
     arrays = (
         _common([d.interval for d in drives], rows),
+        np.array(substeps),
         drives[0].generator,
         drives[0].readout,
         padded([d.states for d in drives]),
         padded([d.impulses for d in drives]),
-        fine,
         padded([o.measured for o in observations]),
         padded([o.scale for o in observations]),
         padded([o.carry for o in observations]),
@@ -254,12 +250,16 @@ class Prior:
 
 
 class Program(NamedTuple):
-    """What a compiled function is specialised to; everything else is data."""
+    """What a compiled function is specialised to; everything else is data.
+
+    The order of the scheme is 0 where the response is exact. The history of a delayed model has
+    room for so many steps a sample.
+    """
 
     model: Model
     free: tuple[int, ...]
-    substeps: int | None
-    order: int = 4
+    order: int = 0
+    history: int = 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -274,10 +274,10 @@ class Problem:
         Over all parameters of the model.
     fixed : mapping of str to float
         Parameters that are known.
-    substeps : int, optional
-        Integration steps per sample, for models without exact response.
-    order : {4, 2}
-        Of the integration scheme.
+    scheme : Scheme, optional
+        How the response is computed. Without it a linear model is solved exactly, and another in
+        the steps that its parameters, where they are fixed at these values and else at nominal
+        ones, ask for.
     room : tuple of int
         Least number of observations and of samples that the data are padded to: problems of one
         shape share their compiled programs.
@@ -290,8 +290,7 @@ class Problem:
     observations: Sequence[Observation]
     prior: Prior
     fixed: Mapping[str, float] = field(default_factory=dict)
-    substeps: int | None = None
-    order: int = 4
+    scheme: Scheme | None = None
     room: tuple[int, int] = (0, 0)
     exact_hessian: bool = True
     _last: local = field(default_factory=local, init=False, repr=False)
@@ -305,7 +304,18 @@ class Problem:
             )
         if len({o.drive.readout.shape for o in self.observations}) != 1:
             raise InputError("the observations must all be driven alike, by torque or by angle")
+        self.integration.check(self.model)
         make_room()
+
+    @cached_property
+    def integration(self) -> Scheme:
+        """How the response is computed."""
+        return self.scheme or Scheme.for_model(self.model, self.template, self.interval)
+
+    @property
+    def interval(self) -> float:
+        """Longest sampling interval [s] of the observations."""
+        return max(o.drive.interval for o in self.observations)
 
     @cached_property
     def free(self) -> tuple[int, ...]:
@@ -350,16 +360,34 @@ class Problem:
     @cached_property
     def program(self) -> Program:
         """What compiled functions are specialised to."""
-        return Program(self.model, self.free, self.substeps, self.order)
+        scheme = self.integration
+        if scheme.exact:
+            return Program(self.model, self.free)
+        # Room for half the step too, by which the scheme is checked.
+        history = 2 * scheme.substeps if self.model.delayed else 0
+        return Program(self.model, self.free, scheme.order, history)
 
     @cached_property
     def data(self) -> Data:
         """The observations, as compiled functions take them."""
-        return _stack(self.observations, self.substeps, self.room)
+        return _stack(self.observations, self.integration.substeps, self.room)
 
     def with_prior(self, prior: Prior) -> Problem:
         """Return the same problem with another prior."""
         return replace(self, prior=prior)
+
+    def with_scheme(self, scheme: Scheme) -> Problem:
+        """Return the same problem with its response computed in another way."""
+        other = replace(self, scheme=scheme)
+        stacked = self.data._replace(substeps=jnp.asarray(scheme.substeps))
+        other.__dict__["data"] = stacked  # all but the steps, as it would be put together anew
+        return other
+
+    def halved(self) -> Problem:
+        """Return the same problem in steps half as long, computed by the same compiled programs."""
+        other = self.with_scheme(self.integration.halved)
+        other.__dict__["program"] = self.program
+        return other
 
     def complete(self, x: np.ndarray) -> np.ndarray:
         """Parameter vectors of the model, shape (..., n_parameters), from free parameters."""
@@ -455,14 +483,16 @@ def pad(indices: np.ndarray, sizes: tuple[int, ...]) -> np.ndarray:
 def _stacked_responses(program: Program, x: ArrayLike, template: ArrayLike, data: Data) -> Array:
     theta = jnp.asarray(template).at[jnp.array(program.free)].set(jnp.asarray(x))
 
-    def respond(interval: Array, states: Array, impulses: Array, fine: Array) -> Array:
+    def respond(interval: Array, states: Array, impulses: Array) -> Array:
         arrays = (interval, data.generator, data.readout, states, impulses)
-        if program.substeps is None:
+        if not program.order:
             return exact_response(program.model, theta, arrays)
-        return integrate(program.model, theta, arrays, fine, program.substeps, program.order)
+        return integrate(
+            program.model, theta, arrays, data.substeps, program.order, program.history
+        )
 
-    along = (None if jnp.ndim(data.interval) == 0 else 0, 0, 0, 0)
-    return jax.vmap(respond, along)(data.interval, data.states, data.impulses, data.fine)
+    along = (None if jnp.ndim(data.interval) == 0 else 0, 0, 0)
+    return jax.vmap(respond, along)(data.interval, data.states, data.impulses)
 
 
 def whitened(program: Program, x: ArrayLike, template: ArrayLike, data: Data) -> Array:

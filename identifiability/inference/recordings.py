@@ -14,14 +14,19 @@ from identifiability.inference.problem import Observation, Prior, Problem, obser
 from identifiability.inference.starts import first_guess, plain_values, starting_values
 from identifiability.inference.widths import Widths, widths
 from identifiability.joint.model import KBI, Model
+from identifiability.joint.scheme import Scheme
 from identifiability.measurement.filtering import Lowpass
 from identifiability.measurement.noise import Noise, correlation_time
 from identifiability.measurement.prepared import Prepared, prepare
 from identifiability.measurement.splitting import Parts, Rule, hold_out
 from identifiability.measurement.trials import Trial
+from identifiability.progress import Progress, silent
 
 _STARTS = 6
 _EVALUATIONS = 60  # from each start, of a model with effects
+_SOLVER_SHARE = 0.1
+"""Error E of the integration over that of the fit, from which on the steps are made finer."""
+_SOLVER_LEAST, _SOLVER_MOST = 1e-7, 1e-5  # whatever the fit's own error
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,6 +118,7 @@ def recording_problem(
     prior: Prior,
     noises: Sequence[Noise] | None = None,
     refined: bool = False,
+    scheme: Scheme | None = None,
 ) -> Problem:
     """Problem of fitting a model to selected samples of trials.
 
@@ -128,6 +134,8 @@ def recording_problem(
         ``2 * cost`` is the sum of the trials' errors E.
     refined : bool
         Whether parameters that only refine an effect are free too.
+    scheme : Scheme, optional
+        How responses are computed; by default as nominal parameters ask for.
 
     Returns
     -------
@@ -154,12 +162,12 @@ def recording_problem(
         observations,
         prior,
         fixed=plain_values(model, model.effect_keys if refined else ()),
-        substeps=None if model.linear else 1,
+        scheme=scheme,
         exact_hessian=not model.effects,
     )
 
 
-def best_fit(problem: Problem, guess: np.ndarray, seed: int) -> Fit:
+def best_fit(problem: Problem, guess: np.ndarray, seed: int) -> tuple[Problem, Fit]:
     """Fit a model from starts about a first guess of K, B and I.
 
     A model with effects starts from the best K, B and I alone, with its effects near their null,
@@ -168,19 +176,53 @@ def best_fit(problem: Problem, guess: np.ndarray, seed: int) -> Fit:
     Parameters
     ----------
     problem : Problem
+        In which each trial weighs by its energy, so that ``2 * cost`` is a sum of errors E.
     guess : array, shape (3,)
         K, B and I.
     seed : int
         Of the starts.
+
+    Returns
+    -------
+    Problem
+        Integrated in steps that suit the fit.
+    Fit
+
+    Raises
+    ------
+    InputError
+        Where no start leads to a finite response, or no steps are fine enough.
     """
     model = problem.model
     if not model.effects:
-        return fit(problem, starting_points(problem, guess, _STARTS, seed))
+        return problem, fit(problem, starting_points(problem, guess, _STARTS, seed))
     prior = Prior(problem.prior.lower[:3], problem.prior.upper[:3])
-    alone = best_fit(Problem(KBI(), problem.observations, prior), guess, seed)
+    _, alone = best_fit(Problem(KBI(), problem.observations, prior), guess, seed)
     known = {name: alone[name] for name in alone.names}
-    points = [problem.free_vector(start) for start in starting_values(model, known)]
-    return explore(problem, np.array(points), evaluations=_EVALUATIONS)
+    points = np.array([problem.free_vector(s) for s in starting_values(model, known)])
+    while True:
+        best = explore(problem, points, evaluations=_EVALUATIONS)
+        wanted = _wanted(problem, best)
+        if not wanted.is_finer_than(problem.integration):
+            return problem, best
+        if problem.integration.finest:
+            raise InputError(
+                f"{model!r} became too fast for samples {1e3 * problem.interval:g} ms apart: "
+                f"{problem.integration} do not resolve it; give bounds, or data sampled faster"
+            )
+        problem, points = problem.with_scheme(wanted), best.values[None]
+
+
+def _wanted(problem: Problem, best: Fit) -> Scheme:
+    """Scheme that a fit asks for: by its values, and by what half the step changes."""
+    here = problem.integration
+    asked = Scheme.for_model(problem.model, problem.complete(best.values), problem.interval)
+    if here.exact or asked.is_finer_than(here):
+        return asked
+    change = problem.halved().residuals(best.values) - problem.residuals(best.values)
+    n, error = len(problem.observations), float(change @ change)
+    allowed = np.clip(_SOLVER_SHARE * 2 * best.cost / n, _SOLVER_LEAST, _SOLVER_MOST)
+    return here.finer if error / n > allowed else here
 
 
 @dataclass(frozen=True)
@@ -286,7 +328,7 @@ def fit_recordings(
     lowpass_hz: Lowpass = "auto",
     refined: bool = False,
     seed: int = 1,
-    progress: Callable[[str, int, int], None] = lambda what, done, total: None,
+    progress: Progress = silent,
 ) -> RecordingFit:
     """Fit a joint model to recorded trials, with every width, by window and held out.
 
@@ -336,10 +378,9 @@ def fit_recordings(
     def study(
         chosen: Sequence[Selection], sampler_seed: int, referee: bool
     ) -> tuple[Problem, Widths, list[Noise], list[float]]:
-        rough = pose(prepared, chosen)
-        best = best_fit(rough, guess, starts_seed)
+        rough, best = best_fit(pose(prepared, chosen), guess, starts_seed)
         noises, fractions = _noises(rough, best, chosen)
-        problem = pose(prepared, chosen, noises=noises)
+        problem = pose(prepared, chosen, noises=noises, scheme=rough.integration)
         result = widths(
             problem,
             starts=best.values[None],
@@ -433,13 +474,13 @@ def _noises(
 def _held_out(parts: Parts, pose: Callable[..., Problem], guess: np.ndarray, seed: int) -> HeldOut:
     """Fit one part, judge on the other."""
     chosen, others = ([whole(p) for p in part] for part in (parts.fitted, parts.held_out))
-    problem = pose(parts.fitted, chosen)
-    best = best_fit(problem, guess, seed)
+    problem, best = best_fit(pose(parts.fitted, chosen), guess, seed)
+    other = pose(parts.held_out, others, scheme=problem.integration)
     return HeldOut(
         parts.what_is_fitted,
         parts.what_is_held_out,
         parts.rule,
         best,
         goodness(problem, best, chosen),
-        goodness(pose(parts.held_out, others), best, others),
+        goodness(other, best, others),
     )

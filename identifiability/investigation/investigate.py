@@ -14,12 +14,12 @@ from identifiability.errors import InputError
 from identifiability.investigation.findings import Findings
 from identifiability.investigation.next_experiment import Limits
 from identifiability.investigation.rules import Rules
-from identifiability.investigation.search.ranking import Progress, silent
 from identifiability.investigation.session import Investigation
 from identifiability.joint.effects import Effect
 from identifiability.joint.model import Model
 from identifiability.measurement.filtering import Lowpass
 from identifiability.measurement.trials import Trial
+from identifiability.progress import Progress, silent
 
 T = TypeVar("T")
 

@@ -282,9 +282,7 @@ def _drive(signal: np.ndarray, time: np.ndarray, angle_driven: bool) -> Drive:
 
 
 def _simulated(candidate: Candidate, drive: Drive) -> np.ndarray:
-    theta = candidate.model.vector(candidate.values)
-    substeps = None if candidate.model.linear else 1
-    return simulate(candidate.model, theta, drive, substeps=substeps)
+    return simulate(candidate.model, candidate.model.vector(candidate.values), drive)
 
 
 def _distance(
@@ -293,14 +291,15 @@ def _distance(
     """Evidence that remains against a model refitted to another one's response."""
     if not np.all(np.isfinite(response)):
         raise InputError("the response is not finite")
-    template = bench.problem(candidate.model, bench.split.fitted, refined=candidate.refined)
+    template = bench.problem(
+        candidate.model, bench.split.fitted, refined=candidate.refined, scheme=candidate.scheme
+    )
     problem = Problem(
         template.model,
         [observe(drive, response, Noise(noise))],
         template.prior,
         fixed=template.fixed,
-        substeps=template.substeps,
-        order=template.order,
+        scheme=template.scheme,
         room=template.room,
     )
     start = problem.free_vector(candidate.values)

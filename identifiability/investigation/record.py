@@ -20,7 +20,7 @@ from identifiability.investigation.wording import verdict as wording
 from identifiability.investigation.wording.next_experiment import next_experiment_sentence
 from identifiability.investigation.wording.unexplained import unexplained_sentence
 from identifiability.measurement.prepared import Prepared
-from identifiability.provenance import package_version
+from identifiability.provenance import stamp
 
 SCHEMA = 1
 
@@ -106,7 +106,7 @@ def investigation_record(findings: Findings, *, command: str = "") -> dict[str, 
             "rules": asdict(split.rules),
             "failures": dict(findings.failures),
             "warnings": list(findings.warnings),
-            "package": package_version(),
+            **stamp(__name__, "identifiability.investigation.investigate"),
             "seed": findings.seed,
             "data_sha256": data_hash((*split.fitted, *split.held_out)),
             "command": command,
@@ -166,6 +166,8 @@ def _ranked(ranked: Ranked) -> dict[str, Any]:
         "fitted_to_the_end": candidate.thorough,
         "starts_agreeing": candidate.n_agreeing,
         "starts": candidate.n_starts,
+        "integration": str(candidate.scheme),
+        "solver_error": candidate.solver_error,
     }
 
 

@@ -76,6 +76,11 @@ class Rules:
     false_discoveries : float
         Rate of false discoveries within each view of where a model fails, and over the aspects of
         its comparison (Benjamini & Hochberg 1995, J R Stat Soc B 57: 289-300).
+    solver_share : float
+        Error of a fit's integration, as E, over that of the noise, from which on the fit is
+        repeated with finer steps.
+    solver_most, solver_least : float
+        Bounds of what it may be: where the noise is large or unknown, and where there is none.
     most_effects : int
         Most effects to add.
     """
@@ -102,6 +107,9 @@ class Rules:
     enough_noise: float = 1.5
     loose: float = 0.5
     false_discoveries: float = 0.05
+    solver_share: float = 0.1
+    solver_most: float = 1e-5
+    solver_least: float = 1e-7
     most_effects: int = 3
 
     @property

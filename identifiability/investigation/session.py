@@ -24,7 +24,6 @@ from identifiability.investigation.next_experiment import (
 )
 from identifiability.investigation.rules import Rules
 from identifiability.investigation.search.found import Found, Ranking
-from identifiability.investigation.search.ranking import Progress, silent
 from identifiability.investigation.search.search import rank, search
 from identifiability.investigation.search.smallest_seen import Detectable, detectable
 from identifiability.investigation.split import Split, gather
@@ -36,6 +35,7 @@ from identifiability.joint.effects import EFFECTS, Effect
 from identifiability.joint.model import KBI, Model
 from identifiability.measurement.filtering import Lowpass
 from identifiability.measurement.trials import Trial
+from identifiability.progress import Progress, silent
 
 _MOVING = (
     "the joint already moves before the first onset, as K, B and I say it should: the noise is not"

@@ -22,7 +22,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from identifiability.joint.effects.base import Motion
-from identifiability.joint.exponentials import phi_functions
+from identifiability.joint.exponentials import matrix_exponential, phi_functions
 from identifiability.joint.model import Model
 
 Rates = Callable[[Array, int], Array]
@@ -30,7 +30,11 @@ Rates = Callable[[Array, int], Array]
 
 
 class _Carry(NamedTuple):
+    """State at the end of a step, what drives it, the angles so far, and the past that it needs."""
+
     state: Array
+    drive: Array
+    angles: Array
     history: Array
     row: Array
     past: list[Motion]
@@ -40,9 +44,9 @@ def integrate(
     model: Model,
     theta: ArrayLike,
     arrays: tuple[ArrayLike, ...],
-    fine: ArrayLike,
-    substeps: int,
+    substeps: ArrayLike,
     order: int = 4,
+    room: int | None = None,
 ) -> Array:
     """Response of any model by exponential Runge-Kutta steps.
 
@@ -52,28 +56,74 @@ def integrate(
     theta : array, shape (n_parameters,)
     arrays : tuple
         From ``response.drive_arrays``.
-    fine : array, shape (n - 1, 2 * substeps + 1, q)
-        The imposed signals within each interval, from ``Drive.refined(substeps)``.
     substeps : int
-        Steps per sampling interval.
+        Steps per sampling interval. It is data: one compiled program serves any number of steps.
     order : {4, 2}
         Power of the step with which the error falls, except where a delayed jump of the torque
         falls inside a step. The second-order scheme takes half the time; with delays it expects a
         torque without impulses.
+    room : int, optional
+        Most steps per interval whose motion can be kept, for a model with delays; `substeps` by
+        default, which must then be known when the program is compiled.
 
     Returns
     -------
     array, shape (n,)
         Angle [rad] if the drive is a torque, torque [Nm] if it is an angle.
     """
-    interval, _, readout, states, impulses = (jnp.asarray(a) for a in arrays)
-    step = interval / substeps
-    fine = jnp.asarray(fine)
+    interval, generator, readout, states, impulses = (jnp.asarray(a) for a in arrays)
+    rows = 0
+    if model.delayed and readout.shape[0] == 1:
+        rows = (states.shape[0] - 1) * (int(jnp.asarray(substeps)) if room is None else room)
+    drive = _Drive(interval / substeps, interval, jnp.asarray(substeps), generator, readout, states)
     if readout.shape[0] == 1:
-        response = _torque_driven(model, theta, step, fine[..., 0], impulses, substeps, order)
+        response = _torque_driven(model, theta, drive, impulses, rows, order)
     else:
-        response = _angle_driven(model, theta, step, fine, states @ readout.T, substeps, order)
+        response = _angle_driven(model, theta, drive, order)
     return model.record(theta, response, interval)
+
+
+class _Drive:
+    """The imposed signals, as they are within the steps."""
+
+    def __init__(
+        self,
+        step: Array,
+        interval: Array,
+        substeps: Array,
+        generator: Array,
+        readout: Array,
+        states: Array,
+    ) -> None:
+        self.step, self.interval, self.substeps = step, interval, substeps
+        self.readout, self.states = readout, states
+        self.n_samples = states.shape[0]
+        self.n_steps = (self.n_samples - 1) * substeps
+        self._half = matrix_exponential(generator * (0.5 * step))
+        self._whole = matrix_exponential(generator * interval)
+
+    def within(self, index: Array, before: Array) -> tuple[Array, Array, Array, Array]:
+        """Sample that a step belongs to, whether it begins there, signals, and where they end.
+
+        The signals, shape (3, q), are those at start, middle and end of step `index`. A jump at a
+        sample comes first.
+        """
+        sample = index // self.substeps
+        begins = index == sample * self.substeps
+        start = jnp.where(begins, _row(self.states, sample), before)
+        middle = _times(self._half, start)
+        end = _times(self._half, middle)
+        signals = _times(self.readout, jnp.stack([start, middle, end])[:, None, :])
+        return sample, begins, signals, end
+
+    @property
+    def ends(self) -> Array:
+        """Signals at the end of each interval, before the jump there, shape (n - 1, q)."""
+        return self.states[:-1] @ (self.readout @ self._whole).T
+
+
+def _row(rows: Array, index: Array) -> Array:
+    return jax.lax.dynamic_index_in_dim(rows, index, keepdims=False)
 
 
 def _times(matrix: Array, vector: Array) -> Array:
@@ -81,7 +131,7 @@ def _times(matrix: Array, vector: Array) -> Array:
     return jnp.sum(matrix * vector, axis=-1)
 
 
-class _Scheme:
+class _Steps:
     """Steps of an exponential Runge-Kutta scheme about a fixed linear part."""
 
     def __init__(self, linear: Array, step: Array, order: int) -> None:
@@ -126,18 +176,10 @@ class _Scheme:
 
 
 def _torque_driven(
-    model: Model,
-    theta: ArrayLike,
-    step: Array,
-    torque: Array,
-    impulses: Array,
-    substeps: int,
-    order: int,
+    model: Model, theta: ArrayLike, drive: _Drive, impulses: Array, rows: int, order: int
 ) -> Array:
     delays = model.delays(theta)
-    remembers = any(d is not None for d in delays)
-    inertia = model.inertia(theta)
-    n_steps = torque.shape[0] * substeps
+    inertia, step = model.inertia(theta), drive.step
 
     def rates(state: Array, applied: ArrayLike, past: list[Motion]) -> Array:
         motion = Motion(state[0], state[1])
@@ -148,22 +190,22 @@ def _torque_driven(
     origin = jnp.zeros(2 + model.n_internal)
     still = Motion(jnp.zeros(()), jnp.zeros(()))
     rest = [still] * len(model.effects)
-    scheme = _Scheme(jax.jacfwd(lambda state: rates(state, 0.0, rest))(origin), step, order)
+    scheme = _Steps(jax.jacfwd(lambda state: rates(state, 0.0, rest))(origin), step, order)
 
-    def substep(carry: _Carry, inputs: tuple[Array, Array]) -> tuple[_Carry, None]:
-        index, applied = inputs
+    def advance(index: Array, carry: _Carry) -> _Carry:
+        sample, begins, applied, end = drive.within(index, carry.drive)
+        kick = jnp.where(begins, _row(impulses, sample), 0.0) / inertia
+        state = carry.state.at[1].add(kick)
         now = index * step
         history = carry.history
-        if remembers:
+        if rows:
             # Written before it is read: the compiler then needs no copy of the whole history.
             history = history.at[jnp.maximum(index - 1, 0)].set(carry.row)
 
         def recall(place: int) -> list[Motion]:
             time = now + 0.5 * place * step
             return [
-                still
-                if d is None
-                else _recall(history, index, step, time - d, carry.state, place == 2)
+                still if d is None else _recall(history, index, step, time - d, state, place == 2)
                 for d in delays
             ]
 
@@ -175,31 +217,27 @@ def _torque_driven(
         def rates_at(state: Array, place: int) -> Array:
             here = Motion(state[0], state[1])
             past = [here if d is None else p for d, p in zip(delays, recalled[place], strict=True)]
-            return rates(state, applied[place], past)
+            return rates(state, applied[place, 0], past)
 
-        first = rates_at(carry.state, 0)
-        arrived, last = scheme.advance(rates_at, carry.state, first)
-        row = jnp.stack([*carry.state[:2], first[1], *arrived[:2], last[1]])
-        return _Carry(arrived, history, row, ends), None
+        first = rates_at(state, 0)
+        arrived, last = scheme.advance(rates_at, state, first)
+        row = jnp.stack([*state[:2], first[1], *arrived[:2], last[1]])
+        angles = carry.angles.at[sample + 1].set(arrived[0])
+        return _Carry(arrived, end, angles, history, row, ends)
 
-    def sample(carry: _Carry, inputs: tuple[Array, Array, Array]) -> tuple[_Carry, Array]:
-        index, applied, impulse = inputs
-        kicked = carry._replace(state=carry.state.at[1].add(impulse / inertia))
-        if substeps == 1:
-            return substep(kicked, (index, applied))[0], kicked.state[0]
-        # Neighbouring steps share the value at their common end.
-        per_step = jnp.stack([applied[0:-1:2], applied[1::2], applied[2::2]], axis=1)
-        indices = index * substeps + jnp.arange(substeps)
-        return jax.lax.scan(substep, kicked, (indices, per_step))[0], kicked.state[0]
-
-    start = _Carry(origin, jnp.zeros((n_steps if remembers else 0, 6)), jnp.zeros(6), rest)
+    start = _Carry(
+        origin,
+        drive.states[0],
+        jnp.zeros(drive.n_samples),
+        jnp.zeros((rows, 6)),
+        jnp.zeros(6),
+        rest,
+    )
     # A start that depends on data and parameters in form, as its successors do in fact, spares the
-    # tracer a second pass through the loop at each of its levels.
-    formal = 0.0 * (torque[0, 0] + jnp.asarray(theta)[0])
+    # tracer a second pass through the loop.
+    formal = 0.0 * (drive.states[0, 0] + jnp.asarray(theta)[0])
     start = jax.tree.map(lambda array: array + formal, start)
-    inputs = (jnp.arange(torque.shape[0]), torque, impulses[:-1])
-    carry, angles = jax.lax.scan(sample, start, inputs)
-    return jnp.append(angles, carry.state[0])
+    return jax.lax.fori_loop(0, drive.n_steps, advance, start).angles
 
 
 def _recall(
@@ -266,27 +304,19 @@ def _quintic(s: Array, step: Array, start: Array, end: Array) -> tuple[Array, Ar
     return value, slope / step
 
 
-def _angle_driven(
-    model: Model,
-    theta: ArrayLike,
-    step: Array,
-    fine: Array,
-    signals: Array,
-    substeps: int,
-    order: int,
-) -> Array:
+def _angle_driven(model: Model, theta: ArrayLike, drive: _Drive, order: int) -> Array:
     delays = model.delays(theta)
-    inertia = model.inertia(theta)
-    n_intervals = fine.shape[0]
+    inertia, step = model.inertia(theta), drive.step
+    n_intervals = drive.n_samples - 1
+    starts, ends = drive.states @ drive.readout.T, drive.ends
 
     def motion_at(time: Array, ends_step: bool) -> Motion:
         """Imposed motion at any time: its quintic within the interval, rest before it."""
-        interval = step * substeps
-        slot = _slot(time / interval, ends_step)
+        slot = _slot(time / drive.interval, ends_step)
         known = jnp.clip(slot, 0, n_intervals - 1)
-        ends = fine[known, 0], fine[known, -1]
-        angle, velocity = _quintic(time / interval - known, interval, *ends)
-        return Motion(jnp.where(slot < 0, signals[0, 0], angle), jnp.where(slot < 0, 0.0, velocity))
+        place = time / drive.interval - known
+        angle, velocity = _quintic(place, drive.interval, starts[known], ends[known])
+        return Motion(jnp.where(slot < 0, starts[0, 0], angle), jnp.where(slot < 0, 0.0, velocity))
 
     def react(
         time: Array, imposed: Array, internal: Array, ends_step: bool = False
@@ -296,36 +326,29 @@ def _angle_driven(
         reaction = model.react(theta, motion, internal, past)
         return reaction.rates, reaction.torque
 
-    if model.n_internal == 0:
-        times = step * substeps * jnp.arange(n_intervals)
-        firsts = jax.vmap(lambda at, moved: react(at, moved, jnp.zeros(0))[1])(times, fine[:, 0])
-        final = react(n_intervals * substeps * step, signals[-1], jnp.zeros(0))[1]
-        return jnp.append(firsts, final) + inertia * signals[:, 2]
-    origin, still = jnp.zeros(model.n_internal), Motion(jnp.zeros(()), jnp.zeros(()))
-    scheme = _Scheme(_slopes(model, theta, still, origin), step, order)
+    def torque(internals: Array) -> Array:
+        times = drive.interval * jnp.arange(drive.n_samples)
+        return jax.vmap(lambda *at: react(*at)[1])(times, starts, internals)
 
-    def substep(internal: Array, inputs: tuple[Array, Array]) -> tuple[Array, None]:
-        index, imposed = inputs
+    internals = jnp.zeros((drive.n_samples, model.n_internal))
+    if model.n_internal:
+        origin, still = jnp.zeros(model.n_internal), Motion(jnp.zeros(()), jnp.zeros(()))
+        scheme = _Steps(_slopes(model, theta, still, origin), step, order)
 
-        def rates_at(state: Array, place: int) -> Array:
-            return react((index + 0.5 * place) * step, imposed[place], state, place == 2)[0]
+        def advance(index: Array, carry: tuple[Array, Array, Array]) -> tuple[Array, Array, Array]:
+            internal, before, internals = carry
+            sample, _, imposed, end = drive.within(index, before)
 
-        return scheme.advance(rates_at, internal, rates_at(internal, 0))[0], None
+            def rates_at(state: Array, place: int) -> Array:
+                return react((index + 0.5 * place) * step, imposed[place], state, place == 2)[0]
 
-    def sample(internal: Array, inputs: tuple[Array, Array]) -> tuple[Array, Array]:
-        index, within = inputs
-        torque = react(index * substeps * step, within[0], internal)[1]
-        if substeps == 1:
-            return substep(internal, (index, within))[0], torque
-        per_step = jnp.stack([within[0:-1:2], within[1::2], within[2::2]], axis=1)
-        indices = index * substeps + jnp.arange(substeps)
-        internal, _ = jax.lax.scan(substep, internal, (indices, per_step))
-        return internal, torque
+            internal = scheme.advance(rates_at, internal, rates_at(internal, 0))[0]
+            return internal, end, internals.at[sample + 1].set(internal)
 
-    internal = _rest(model, theta, signals[0, 0])
-    internal, torque = jax.lax.scan(sample, internal, (jnp.arange(n_intervals), fine))
-    final = react(n_intervals * substeps * step, signals[-1], internal)[1]
-    return jnp.append(torque, final) + inertia * signals[:, 2]
+        first = _rest(model, theta, starts[0, 0])
+        begin = first, drive.states[0], internals.at[0].set(first)
+        internals = jax.lax.fori_loop(0, drive.n_steps, advance, begin)[2]
+    return torque(internals) + inertia * starts[:, 2]
 
 
 def _slopes(model: Model, theta: ArrayLike, held: Motion, internal: Array) -> Array:

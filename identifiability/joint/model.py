@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -153,6 +154,19 @@ class Model:
     def objection(self, values: Mapping[str, float]) -> str:
         """Why values of parameters, by name, cannot be those of a joint; empty if they can."""
         return "; ".join(filter(None, (effect.objection(values) for effect in self.effects)))
+
+    @property
+    def delayed(self) -> bool:
+        """Whether some effect sees the motion that was a delay ago."""
+        return any(delay is not None for delay in self.delays(self.nominal))
+
+    def pace(self, values: Mapping[str, float]) -> float:
+        """Fastest rate [1/s] of what is not linear in the joint; see `Effect.pace`."""
+        try:
+            paces = [abs(effect.pace(values)) for effect in self.effects]
+        except (ArithmeticError, ValueError):
+            return math.inf  # of parameters that no joint has
+        return float(np.nan_to_num(max(paces, default=0.0), nan=np.inf))
 
     @property
     def n_internal(self) -> int:

@@ -20,7 +20,10 @@ from identifiability.joint.exponentials import matrix_exponential
 from identifiability.joint.integrator import integrate
 from identifiability.joint.model import Model
 from identifiability.joint.programs import make_room
+from identifiability.joint.scheme import EXACT, Scheme
 from identifiability.measurement.perturbations import Drive
+
+_CONVERGED = 1e-7  # E between two responses, of which the finer is taken as converged
 
 DriveArrays = tuple[ArrayLike, ArrayLike, ArrayLike, ArrayLike, ArrayLike]
 
@@ -31,7 +34,7 @@ def drive_arrays(drive: Drive) -> DriveArrays:
 
 
 def simulate(
-    model: Model, theta: ArrayLike, drive: Drive, *, substeps: int | None = None
+    model: Model, theta: ArrayLike, drive: Drive, *, scheme: Scheme | None = None
 ) -> np.ndarray:
     """Response of a joint to an imposed torque or angle.
 
@@ -42,8 +45,10 @@ def simulate(
         One parameter vector, or any batch of them.
     drive : Drive
         Made by ``Perturbation.drive(time)`` or ``imposed_motion(time, angle)``.
-    substeps : int, optional
-        Integration steps per sample. Without it linear models are solved exactly.
+    scheme : Scheme, optional
+        How it is computed. Without it linear models are solved exactly, and others in steps that
+        are halved until the response stays what it is: until E (Eq. 3) between the last two falls
+        below 1e-7.
 
     Returns
     -------
@@ -53,8 +58,8 @@ def simulate(
     Raises
     ------
     InputError
-        Where the parameter vectors have the wrong length, or a model that is not linear is to be
-        solved without `substeps`.
+        Where the parameter vectors have the wrong length, the exact response is asked of a model
+        that has none, or no number of steps that is tried is enough.
     """
     theta = np.asarray(theta, float)
     n_parameters = len(model.parameter_names)
@@ -63,16 +68,42 @@ def simulate(
             f"found parameters of shape {theta.shape}, expected (..., {n_parameters}) for "
             f"{list(model.parameter_names)}"
         )
-    if substeps is None and not model.linear:
-        raise InputError(f"{model!r} has no exact response; give the number of substeps")
     make_room()
     flat = theta.reshape(-1, n_parameters)
-    if substeps is None:
-        out = _exact_batch(model, flat, drive_arrays(drive))
-    else:
-        fine = drive.refined(substeps)
-        out = _integrated_batch(model, substeps, flat, drive_arrays(drive), fine)
-    return np.asarray(out).reshape(*theta.shape[:-1], -1)
+    found = _converged(model, flat, drive) if scheme is None else _by(scheme, model, flat, drive)
+    return found.reshape(*theta.shape[:-1], -1)
+
+
+def _by(scheme: Scheme, model: Model, thetas: np.ndarray, drive: Drive) -> np.ndarray:
+    scheme.check(model)
+    if scheme.exact:
+        return np.asarray(_exact_batch(model, thetas, drive_arrays(drive)))
+    room = scheme.substeps if model.delayed else 0
+    arrays = drive_arrays(drive)
+    return np.asarray(_integrated_batch(model, scheme.order, room, thetas, arrays, scheme.substeps))
+
+
+def _converged(model: Model, thetas: np.ndarray, drive: Drive) -> np.ndarray:
+    """Responses that half the step leaves as they are."""
+    if model.linear or not len(thetas):
+        return _by(EXACT, model, thetas, drive)
+    wanted = [Scheme.for_model(model, theta, drive.interval) for theta in thetas]
+    # The fourth order, so that the finer of two responses is far better than their difference.
+    scheme = Scheme(max(s.substeps // (4 if s.order == 2 else 1) for s in wanted) or 1)
+    coarse = _by(scheme, model, thetas, drive)
+    while not scheme.finest:
+        scheme = scheme.halved
+        fine = _by(scheme, model, thetas, drive)
+        with np.errstate(all="ignore"):
+            moved = np.sum((fine - coarse) ** 2, axis=1) > _CONVERGED * np.sum(fine**2, axis=1)
+        # What is not finite says so itself.
+        if not np.any(moved & np.all(np.isfinite(fine), axis=1)):
+            return fine
+        coarse = fine
+    raise InputError(
+        f"found {model!r} too fast for samples {drive.interval:g} s apart: {scheme} do not resolve "
+        "it; sample more often, or keep its parameters slower"
+    )
 
 
 def exact_response(model: Model, theta: ArrayLike, arrays: DriveArrays) -> Array:
@@ -165,8 +196,8 @@ def _exact_batch(model: Model, thetas: Array, arrays: DriveArrays) -> Array:
     return jax.vmap(lambda theta: exact_response(model, theta, arrays))(thetas)
 
 
-@partial(jax.jit, static_argnums=(0, 1))
+@partial(jax.jit, static_argnums=(0, 1, 2))
 def _integrated_batch(
-    model: Model, substeps: int, thetas: Array, arrays: DriveArrays, fine: Array
+    model: Model, order: int, room: int, thetas: Array, arrays: DriveArrays, substeps: int
 ) -> Array:
-    return jax.vmap(lambda theta: integrate(model, theta, arrays, fine, substeps))(thetas)
+    return jax.vmap(lambda theta: integrate(model, theta, arrays, substeps, order, room))(thetas)

@@ -50,18 +50,6 @@ class Drive:
         """Imposed signals at the samples, shape (n, q)."""
         return self.states @ self.readout.T
 
-    def refined(self, substeps: int) -> np.ndarray:
-        """Signals at ``2 * substeps + 1`` equally spaced times within each interval.
-
-        Returns
-        -------
-        array, shape (n - 1, 2 * substeps + 1, q)
-            From the left end of each interval (after its jump) to its right end (before the next).
-        """
-        steps = np.linspace(0.0, self.interval, 2 * substeps + 1)
-        propagators = np.stack([scipy.linalg.expm(self.generator * s) for s in steps])
-        return np.einsum("qi,sij,nj->nsq", self.readout, propagators, self.states[:-1])
-
 
 class Perturbation(ABC):
     """A torque imposed on a joint that is at rest before it."""

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable, Iterator
+from concurrent.futures import Executor
+from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
@@ -16,12 +18,14 @@ from matplotlib.image import AxesImage
 from matplotlib.patches import Patch
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullLocator
 
+from identifiability.files import replacing
 from identifiability.inference.widths import VERDICTS
 from identifiability.palette import BLUE, GREY, ORANGE, SKY, VERMILLION, YELLOW
 from identifiability.plots.corner import corner_figure
 from identifiability.plots.style import DPI, MAP, styled
-from identifiability.study.atlas import Corner
-from identifiability.sweep.outcome import Arrays
+from identifiability.study.atlas import Corner, Plan
+from identifiability.sweep.outcome import Arrays, Outcome
+from identifiability.sweep.run import sweep
 
 NO_RESULT = "no result"
 _MISSING = "#D8D8D8"
@@ -45,6 +49,61 @@ def corner_plot(corner: Corner) -> Arrays:
         "verdict": np.array(found.verdict),
         "reason": np.array(found.reason),
     }
+
+
+def draw_corners(
+    plan: Plan,
+    kept: Path,
+    *,
+    folder: Path,
+    workers: int | None = None,
+    executor: Callable[[], Executor] | None = None,
+) -> tuple[list[dict[str, str]], dict[str, Outcome]]:
+    """Draw the corner plots of an atlas in worker processes, where they can fail without harm.
+
+    Parameters
+    ----------
+    plan : Plan
+    kept : Path
+        Folder in which finished plots are kept, so that an interrupted run can go on.
+    folder : Path
+        For the figures.
+    workers, executor
+        See `sweep`.
+
+    Returns
+    -------
+    drawn : list of dict
+        ``file``, ``caption``, ``verdict`` and ``reason`` of each figure.
+    outcomes : dict of str to Outcome
+        By the figures' names without suffix.
+    """
+    corners = {corner.stem: corner for corner in plan.corners()}
+    outcomes = sweep(
+        corner_plot,
+        corners,
+        folder=kept,
+        label="corner plots",
+        workers=workers,
+        executor=executor,
+        progress=bool(corners),
+    )
+    drawn = []
+    for stem, outcome in outcomes.items():
+        if outcome.arrays is None:
+            continue
+        path = folder / f"{stem}.png"
+        with replacing(path) as temporary:
+            temporary.write_bytes(outcome.arrays["png"].tobytes())
+        drawn.append(
+            {
+                "file": path.name,
+                "caption": corners[stem].caption,
+                "verdict": str(outcome.arrays["verdict"]),
+                "reason": str(outcome.arrays["reason"]),
+            }
+        )
+    return drawn, outcomes
 
 
 class Map(NamedTuple):

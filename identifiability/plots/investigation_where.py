@@ -203,17 +203,20 @@ def comparison_figure(comparison: Comparison) -> Figure:
 def _limits(comparison: Comparison, shown: Sequence[Constancy], i: int) -> tuple[float, float]:
     """Range of one parameter's axis; estimates that say next to nothing do not stretch it."""
     centre = float(comparison.overall.values[i])
+    # At a bound of 0 the parts say how large the parameter may be.
+    parts = [abs(float(group.values[i])) for constancy in shown for group in constancy.groups]
+    size = abs(centre) or max(parts) or 1.0
     spread = INTERVAL * float(comparison.overall.errors[i])
-    spread = min(spread, 2 * abs(centre)) if np.isfinite(spread) else 0.0
+    spread = min(spread, 2 * size) if np.isfinite(spread) else 0.0
     low, high = [centre - spread], [centre + spread]
     for constancy in shown:
         for group in constancy.groups:
             value, error = float(group.values[i]), INTERVAL * float(group.errors[i])
-            reach = min(error, 0.5 * abs(centre))
-            if error < 2 * abs(centre):
+            reach = min(error, 0.5 * size)
+            if error < 2 * size:
                 low.append(value - reach)
                 high.append(value + reach)
-    margin = 0.06 * max(max(high) - min(low), 0.02 * abs(centre))
+    margin = 0.06 * max(max(high) - min(low), 0.02 * size)
     return min(low) - margin, max(high) + margin
 
 

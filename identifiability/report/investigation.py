@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from identifiability.files import write_text
+from identifiability.files import write_json, write_text
 from identifiability.inference.widths import Widths
 from identifiability.investigation.findings import Findings
+from identifiability.investigation.record import investigation_record
 from identifiability.investigation.search.found import Found, Ranking
 from identifiability.investigation.search.gate import Ranked
 from identifiability.investigation.verdict.pinned import interval, not_pinned_down
@@ -60,6 +61,40 @@ class _Figures:
         save(figure, self.out / f"{name}.png")
         self.written.append(f"{name}.png")
         self.page.figure(png(figure), caption, alt=caption)
+
+
+def write_investigation(findings: Findings, out: Path, *, command: str) -> list[str]:
+    """Write record, report and figures into a folder; returns the files' names."""
+    record = investigation_record(findings, command=command)
+    write_json(out / "investigation.json", record)
+    return ["investigation.json", "report.html", *write_report(findings, record, out)]
+
+
+def investigation_text(findings: Findings) -> str:
+    """What was found, as text."""
+    found, floor = findings.found, findings.split.noise_floor()
+    names = ["baseline" if found.baseline.keys else "K, B, I"]
+    names += [f"+ {words.plain(m.name)}" for m in found.missing]
+    lines = [words.verdict_sentence(findings), ""]
+    lines.append(f"{'model':<34}{'E fitted':>12}{'E held out':>12}")
+    for name, rung in zip(names, found.ladder, strict=True):
+        lines.append(f"{name:<34}{rung.fitted.error:>12.3g}{rung.held_out.error:>12.3g}")
+    lines.append(f"{'noise floor':<34}" + (f"{floor:>12.3g}" if floor else f"{'unknown':>12}"))
+    lines += ["", *words.because(findings)]
+    if findings.next_experiment is not None:
+        lines += ["", f"Next experiment. {next_experiment_sentence(findings.next_experiment)}"]
+    if findings.widths is not None:
+        lines.append("")
+        for row in findings.widths.rows:
+            low, high, source = interval(row)
+            lines.append(
+                f"{row.name} = {row.optimum:.4g} (95 % by {source}: {low:.4g} to {high:.4g}): "
+                f"{row.verdict}"
+            )
+        loose = not_pinned_down(findings.widths, findings.split.rules.loose)
+        lines += ["", *map(loose_sentence, loose)]
+    lines += [f"note: {warning}" for warning in findings.warnings]
+    return "\n".join(lines)
 
 
 def write_report(findings: Findings, record: dict[str, Any], out: Path) -> list[str]:

@@ -19,6 +19,7 @@ from identifiability.inference.widths import (
     WIDTH_TOLERANCE,
 )
 from identifiability.joint.model import KBI
+from identifiability.provenance import stamp
 from identifiability.study.approximations import low_frequency
 from identifiability.study.setting import Setting
 from identifiability.study.store import CELL
@@ -76,7 +77,7 @@ def record(
 
     return {
         "schema": SCHEMA,
-        "package": data.attrs["package"],
+        **stamp(__name__),
         "command": command,
         "plan": json.loads(data.attrs["plan"]),
         "criteria": {

@@ -7,7 +7,8 @@ to 5, 8, 9 and the comparison of perturbations).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -27,6 +28,7 @@ from identifiability.measurement.perturbations import (
     SampledTorque,
     Sinusoid,
 )
+from identifiability.provenance import stamp
 from identifiability.study.setting import Setting, error_problem
 from identifiability.sweep.outcome import Arrays, Outcome
 from identifiability.sweep.run import sweep
@@ -400,7 +402,11 @@ def rows(
 
 
 def compute_rows(
-    tasks: Sequence[Row], *, folder: Path | None, workers: int | None = None
+    tasks: Sequence[Row],
+    *,
+    folder: Path | None,
+    workers: int | None = None,
+    executor: Callable[[], Executor] | None = None,
 ) -> tuple[dict[Row, np.ndarray], list[Outcome]]:
     """Compute rows in worker processes.
 
@@ -409,8 +415,8 @@ def compute_rows(
     tasks : sequence of Row
     folder : Path or None
         Where finished rows are kept, so that an interrupted run can go on; see `sweep`.
-    workers : int, optional
-        Number of processes, one per processor by default.
+    workers, executor
+        See `sweep`.
 
     Returns
     -------
@@ -424,7 +430,14 @@ def compute_rows(
         f"B_CE from {t.B_CE[0]:g}": t
         for t in tasks
     }
-    outcomes = sweep(compute_row, named, folder=folder, label="rows of fits", workers=workers)
+    outcomes = sweep(
+        compute_row,
+        named,
+        folder=folder,
+        label="rows of fits",
+        workers=workers,
+        executor=executor,
+    )
     done = {named[o.name]: o.arrays["cells"] for o in outcomes.values() if o.arrays is not None}
     return done, [o for o in outcomes.values() if o.arrays is None]
 
@@ -479,6 +492,7 @@ def to_dataset(
         {
             "title": "KBI fitted to the musculoskeletal model of Kistemaker & Rozendaal (2011)",
             "references": "doi:10.1371/journal.pone.0019568",
+            **stamp(__name__),
             "dE": dE,
             "I_MSM": 0.1,
         },

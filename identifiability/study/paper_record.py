@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
+from identifiability.provenance import stamp
 from identifiability.study.approximations import high_frequency, low_frequency
 from identifiability.study.paper import PARAMETERS, PanelFit, Row, Surface, Valley
 from identifiability.study.setting import Setting
@@ -33,7 +34,6 @@ def record(
     example: Surface,
     wider: Mapping[Row, np.ndarray],
     quick: bool,
-    package: str,
 ) -> dict[str, Any]:
     """Numbers of the study, ready for JSON.
 
@@ -52,8 +52,6 @@ def record(
         Cells of B_CE beyond the grid, an impulse and K_SE = 5 K_CE.
     quick : bool
         Whether the grid is the coarse one.
-    package : str
-        Version of this package.
 
     Returns
     -------
@@ -63,7 +61,7 @@ def record(
     impulse = data.sel(perturbation="impulse", ratio=RATIO)
     return {
         "schema": SCHEMA,
-        "package": package,
+        **stamp(__name__),
         "quick": quick,
         "dE": float(data.attrs["dE"]),
         "I_MSM": float(data.attrs["I_MSM"]),

@@ -13,7 +13,7 @@ import xarray as xr
 
 from identifiability.files import replacing
 from identifiability.joint.model import KBI
-from identifiability.provenance import package_version
+from identifiability.provenance import stamp
 from identifiability.study.atlas import N_DRAWS, Plan
 from identifiability.sweep.outcome import Outcome
 
@@ -145,7 +145,7 @@ def to_dataset(plan: Plan, outcomes: Mapping[str, Outcome]) -> xr.Dataset:
         },
         {
             "title": "Widths of K, B and I fitted to a musculoskeletal model",
-            "package": f"identifiability {package_version()}",
+            **stamp(__name__),
             "plan": json.dumps(asdict(plan)),
         },
     )

@@ -5,21 +5,26 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
 from identifiability.errors import InputError
 from identifiability.inference.fitting import Fit, at_bounds, explore
 from identifiability.inference.problem import Observation, Prior, Problem
+from identifiability.inference.starts import plain_values
 from identifiability.investigation.fits.candidate import NOTHING, Candidate, Residual
 from identifiability.investigation.rules import Rules
-from identifiability.investigation.split import Split, owners
+from identifiability.investigation.split import Split, places
 from identifiability.joint.model import Model
+from identifiability.joint.scheme import EXACT, Scheme
 from identifiability.measurement.prepared import Prepared
 
 GLANCE, THOROUGH = 10, 60
 """Evaluations from each start: to see whether a candidate is worth more, and to finish it."""
 _KEPT, _NEAR = 2, 2.0  # starts that are carried on: so many, at most so many times the best cost
+_MOST_AT_A_GLANCE = 16  # steps a sample: extreme parameters are passed through, not reached
+_ROUNDS = 6  # fits at most, each with the scheme that the one before asked for
 _DIVERGED = 1e100  # stands for a response without bound; its squares can still be summed
 
 
@@ -36,9 +41,6 @@ class Workbench:
 
     split: Split
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    _observations: dict[int, list[Observation]] = field(
-        default_factory=dict, init=False, repr=False
-    )
 
     @property
     def rules(self) -> Rules:
@@ -50,8 +52,26 @@ class Workbench:
         names = model.parameter_names
         return Prior.physical(model, **{n: b for n, b in self.bounds.items() if n in names})
 
+    @cached_property
+    def _fitted(self) -> list[Observation]:
+        return self.split.observations(self.split.fitted)
+
+    @cached_property
+    def _held_out(self) -> list[Observation]:
+        return self.split.observations(self.split.held_out)
+
+    def _observed(self, part: Sequence[Prepared]) -> list[Observation]:
+        if part is self.split.fitted:
+            return self._fitted
+        return self._held_out if part is self.split.held_out else self.split.observations(part)
+
     def problem(
-        self, model: Model, part: Sequence[Prepared], *, refined: Sequence[str] = ()
+        self,
+        model: Model,
+        part: Sequence[Prepared],
+        *,
+        refined: Sequence[str] = (),
+        scheme: Scheme | None = None,
     ) -> Problem:
         """Problem of fitting a model to a part of the evidence.
 
@@ -61,21 +81,15 @@ class Workbench:
         part : sequence of Prepared
         refined : sequence of str
             Keys of the effects whose refining parameters are free too.
+        scheme : Scheme, optional
+            That of a candidate; by default that for nominal parameters.
         """
-        if id(part) not in self._observations:
-            self._observations[id(part)] = self.split.observations(part)
-        plain = {
-            name: p.plain
-            for name, p in model.parameters.items()
-            if p.plain is not None and name.split(".")[0] not in refined
-        }
         return Problem(
             model,
-            self._observations[id(part)],
+            self._observed(part),
             self.prior(model),
-            fixed=plain,
-            substeps=None if model.linear else 1,
-            order=2,
+            fixed=plain_values(model, refined),
+            scheme=scheme,
             room=self.split.room,
         )
 
@@ -85,20 +99,24 @@ class Workbench:
         values: Mapping[str, float],
         part: Sequence[Prepared],
         refined: Sequence[str] = (),
+        scheme: Scheme | None = None,
     ) -> Residual:
-        """What a model with given values leaves of a part of the evidence."""
-        problem = self.problem(model, part, refined=refined)
-        theta = model.vector(values)[list(problem.free)]
-        white = problem.residuals(theta).reshape(self.split.room)
+        """What a model with given values leaves of a part of the evidence.
+
+        Without a scheme it is integrated as those values ask for.
+        """
+        scheme = scheme or self._apriori(model, [values])
+        return self._left(self.problem(model, part, refined=refined, scheme=scheme), values, part)
+
+    def _left(
+        self, problem: Problem, values: Mapping[str, float], part: Sequence[Prepared]
+    ) -> Residual:
+        white = problem.residuals(problem.free_vector(values))
         white = np.clip(np.nan_to_num(white, nan=_DIVERGED), -_DIVERGED, _DIVERGED)
-        compared = [
-            row[: o.scale.size][o.scale > 0]
-            for row, o in zip(white, problem.observations, strict=False)
-        ]
-        owner = owners(problem.observations)
+        found = places(problem.observations, self.split.room[1])
         by_trial, errors, weighted = [], [], 0.0
-        for i, (ready, sd) in enumerate(zip(part, self.split.weights_sd(part), strict=True)):
-            left = np.concatenate([c for c, j in zip(compared, owner, strict=True) if i == j])
+        for ready, sd, at in zip(part, self.split.weights_sd(part), found, strict=True):
+            left = white[at]
             by_trial.append(-sd * left)
             errors.append(float(sd**2 * left @ left) / ready.energy)
             weighted += float(left @ left)
@@ -125,34 +143,107 @@ class Workbench:
             Whether to carry the fit to its end or to take a glance from every start.
         """
         began = time.perf_counter()
+        evaluations = THOROUGH if thorough else GLANCE
         try:
-            problem = self.problem(model, self.split.fitted, refined=refined)
-            points = np.array([model.vector(s)[list(problem.free)] for s in starts])
-            best = explore(problem, points, evaluations=THOROUGH if thorough else GLANCE)
-            reached = _distinct(model, problem, best)
-            values = reached[0]
-            fitted = self.residual(model, values, self.split.fitted, refined)
-            held_out = NOTHING
-            if self.split.held_out:
-                held_out = self.residual(model, values, self.split.held_out, refined)
+            reached: Sequence[Mapping[str, float]] = starts
+            wanted = self._apriori(model, starts)
+            for _ in range(_ROUNDS):
+                problem = self.problem(model, self.split.fitted, refined=refined, scheme=wanted)
+                points = np.array([problem.free_vector(s) for s in reached])
+                best = explore(problem, points, evaluations=evaluations)
+                reached = _distinct(model, problem, best)
+                parts, moved = self._checked(problem, reached[0], thorough)
+                wanted = self._wanted(problem, reached[0], moved)
+                if not wanted.is_finer_than(problem.integration):
+                    break
+            else:
+                raise InputError(_too_fast(problem))
+            fitted, held_out = parts
             if fitted.weighted >= _DIVERGED:
                 raise InputError("the best response found is not finite")
         except (InputError, ValueError, FloatingPointError, np.linalg.LinAlgError) as error:
             return Candidate(model, {}, (), NOTHING, NOTHING, failure=str(error))
         return Candidate(
             model,
-            values,
+            reached[0],
             problem.names,
             fitted,
             held_out,
             at_bounds(problem, best.values),
             best.n_agreeing,
-            len(points),
+            len(starts),
             tuple(reached),
             tuple(refined),
             thorough,
             time.perf_counter() - began,
+            scheme=problem.integration,
+            solver_error=moved,
         )
+
+    def _apriori(self, model: Model, places: Sequence[Mapping[str, float]]) -> Scheme:
+        """The finest of the schemes that a model's values ask for."""
+        interval = max(r.drive.interval for r in (*self.split.fitted, *self.split.held_out))
+        best = EXACT
+        for values in places:
+            asked = Scheme.for_model(model, model.vector(values), interval)
+            best = asked if asked.is_finer_than(best) else best
+        return best
+
+    def _checked(
+        self, problem: Problem, values: Mapping[str, float], thorough: bool
+    ) -> tuple[tuple[Residual, Residual], float | None]:
+        """What values leave of the fitted and held-out trials, and the error E of the solver.
+
+        The error is what half the step changes, in the part where that is more; ``None`` where
+        that was not tried: after a glance.
+        """
+        split, refined = self.split, _refined(problem)
+        left, errors = [], [0.0]
+        for part in (split.fitted, split.held_out):
+            if not part:
+                left.append(NOTHING)
+                continue
+            here = problem
+            if part is split.held_out:
+                scheme = problem.integration
+                here = self.problem(problem.model, part, refined=refined, scheme=scheme)
+            left.append(self._left(here, values, part))
+            if thorough and not here.integration.exact:
+                halved = self._left(here.halved(), values, part)
+                change = [
+                    float(np.sum((a - b) ** 2)) / ready.energy
+                    for a, b, ready in zip(left[-1].by_trial, halved.by_trial, part, strict=True)
+                ]
+                errors.append(float(np.mean(change)))
+        return (left[0], left[1]), max(errors) if thorough else None
+
+    def _wanted(self, problem: Problem, values: Mapping[str, float], error: float | None) -> Scheme:
+        """Scheme that a fit asks for at the place that it reached.
+
+        Raises
+        ------
+        InputError
+            Where there is none fine enough.
+        """
+        scheme = problem.integration
+        asked = self._apriori(problem.model, [values])
+        if error is None and asked.substeps > _MOST_AT_A_GLANCE:
+            asked = Scheme(_MOST_AT_A_GLANCE)
+        wanted = asked if asked.is_finer_than(scheme) else scheme
+        # What overflows is a failure of another kind.
+        if error is not None and np.isfinite(error) and error > self._tolerance:
+            if scheme.finest:
+                raise InputError(_too_fast(problem))
+            wanted = wanted if wanted.is_finer_than(scheme) else scheme.finer
+        return wanted
+
+    @property
+    def _tolerance(self) -> float:
+        """Error E that the integration of a fit may have."""
+        rules, floor = self.rules, self.split.noise_floor()
+        noise = np.inf if floor is None else floor
+        allowed = np.clip(rules.solver_share * noise, rules.solver_least, rules.solver_most)
+        return float(allowed)
 
     def objection(self, candidate: Candidate) -> str:
         """Why a candidate's parameters cannot be those of a joint; empty if they can.
@@ -175,6 +266,19 @@ class Workbench:
         if glanced.failure or glanced.thorough:
             return glanced
         return self.fit(glanced.model, glanced.reached, refined=glanced.refined)
+
+
+def _refined(problem: Problem) -> tuple[str, ...]:
+    """Keys of the effects of which a problem fits the refining parameters."""
+    parameters = problem.model.parameters
+    return tuple({n.split(".")[0] for n in problem.names if parameters[n].plain is not None})
+
+
+def _too_fast(problem: Problem) -> str:
+    return (
+        f"its parameters are too fast for samples {1e3 * problem.interval:g} ms apart: "
+        f"{problem.integration} do not resolve it"
+    )
 
 
 def _distinct(model: Model, problem: Problem, best: Fit) -> list[dict[str, float]]:

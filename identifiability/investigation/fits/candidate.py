@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from identifiability.joint.model import Model
+from identifiability.joint.scheme import Scheme
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +62,12 @@ class Candidate:
     thorough : bool
         Whether the fit was carried to its end; one that fell behind after a glance is not.
     seconds : float
+    scheme : Scheme or None
+        How its responses were integrated, in this fit and in all that is said of it.
+    solver_error : float or None
+        Change of the response, as an error E, when the step is halved: at most a tenth of the noise
+        (see `Rules.solver_share`). 0 where the response is exact, ``None`` where it was not tried,
+        after a glance.
     failure : str
         Why there is no fit; then the residuals are empty and the errors infinite.
     """
@@ -78,6 +85,8 @@ class Candidate:
     thorough: bool = True
     seconds: float = 0.0
     failure: str = ""
+    scheme: Scheme | None = None
+    solver_error: float | None = None
 
     @property
     def keys(self) -> tuple[str, ...]:

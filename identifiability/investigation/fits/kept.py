@@ -1,14 +1,14 @@
 """Fits kept on disk, so that an investigation that was stopped goes on where it was.
 
 A fit is one file, named after all that it depends on: data, weights, bounds, model, starts and the
-package's version. The search draws nothing, so it asks for the same fits when it is run again.
+code that fits. The search draws nothing, so it asks for the same fits when it is run again.
 """
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,18 @@ from identifiability.files import read_arrays, write_arrays
 from identifiability.investigation.fits.bench import Workbench
 from identifiability.investigation.fits.candidate import Candidate, Residual
 from identifiability.joint.model import Model
-from identifiability.provenance import fingerprint, package_version
+from identifiability.joint.scheme import Scheme
+from identifiability.provenance import code_fingerprint, fingerprint
+
+
+def kept_fits(folder: Path) -> list[Path]:
+    """Files of the fits in a folder that this code made, and so would read."""
+    return sorted(folder.glob(f"{_code()}-*.npz"))
+
+
+def _code() -> str:
+    """Beginning of the names of this code's fits."""
+    return code_fingerprint(__name__)[:12]
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +51,7 @@ class KeepingWorkbench(Workbench):
     @cached_property
     def _identity(self) -> str:
         split = self.split
-        return fingerprint(package_version(), split.fitted, split.held_out, self.bounds)
+        return fingerprint(split.fitted, split.held_out, self.bounds)
 
     def fit(
         self,
@@ -52,7 +63,7 @@ class KeepingWorkbench(Workbench):
     ) -> Candidate:
         """Fit a model, or read the fit if it is there; see `Workbench.fit`."""
         asked = fingerprint(self._identity, repr(model), starts, refined, thorough)
-        path = self.folder / f"{asked}.npz"
+        path = self.folder / f"{_code()}-{asked}.npz"
         arrays = read_arrays(path)
         if arrays is not None:
             return _from_arrays(model, arrays)
@@ -73,6 +84,8 @@ def _to_arrays(candidate: Candidate) -> dict[str, np.ndarray]:
         "refined": candidate.refined,
         "thorough": candidate.thorough,
         "seconds": candidate.seconds,
+        "scheme": None if candidate.scheme is None else asdict(candidate.scheme),
+        "solver_error": candidate.solver_error,
     }
     arrays = {"candidate": np.array(json.dumps(plain))}
     for name in ("fitted", "held_out"):
@@ -88,6 +101,8 @@ def _from_arrays(model: Model, arrays: Mapping[str, np.ndarray]) -> Candidate:
     plain: dict[str, Any] = json.loads(str(arrays["candidate"]))
     for name in ("free", "at_bound", "reached", "refined"):
         plain[name] = tuple(plain[name])
+    if plain["scheme"] is not None:
+        plain["scheme"] = Scheme(**plain["scheme"])
     fitted, held_out = (_residual(name, arrays) for name in ("fitted", "held_out"))
     return Candidate(model, fitted=fitted, held_out=held_out, **plain)
 

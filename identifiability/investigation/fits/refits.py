@@ -76,7 +76,8 @@ class Refits:
     @cached_property
     def _problem(self) -> Problem:
         fitted = self.bench.split.fitted
-        return self.bench.problem(self.candidate.model, fitted, refined=self.candidate.refined)
+        one = self.candidate
+        return self.bench.problem(one.model, fitted, refined=one.refined, scheme=one.scheme)
 
     @cached_property
     def _places(self) -> list[tuple[np.ndarray, float]]:

@@ -25,7 +25,9 @@ def parameter_widths(bench: Workbench, candidate: Candidate, *, seed: int = 1) -
     seed : int
     """
     split = bench.split
-    problem = bench.problem(candidate.model, split.fitted, refined=candidate.refined)
+    problem = bench.problem(
+        candidate.model, split.fitted, refined=candidate.refined, scheme=candidate.scheme
+    )
     noises = [
         float(np.sqrt(np.mean(left**2) * correlation_time(left - left.mean())))
         for left in candidate.fitted.by_trial

@@ -17,6 +17,7 @@ from identifiability.investigation.search.found import Ranking
 from identifiability.investigation.search.gate import Gate, Ranked
 from identifiability.joint.effects import Effect
 from identifiability.joint.model import KBI, Model
+from identifiability.progress import Progress
 
 _WORKERS = 2
 _WITHIN_REACH = 0.5  # share of the best gain at which a candidate is worth refining
@@ -26,12 +27,6 @@ _SCREENED = 6  # effects that are fitted beside a model that has effects already
 # when models take longer.
 _WORTH, _LEAST_FINISHED = 0.3, 4
 _WORTH_LATER, _LEAST_LATER = 0.5, 2
-
-Progress = Callable[[str, int, int], None]
-
-
-def silent(what: str, done: int, total: int) -> None:
-    """Report nothing."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,7 +79,9 @@ class Ranker:
         if not current.keys or len(keys) <= _SCREENED:
             return list(keys)
         fitted = self.bench.split.fitted
-        problem = self.bench.problem(current.model, fitted, refined=current.refined)
+        problem = self.bench.problem(
+            current.model, fitted, refined=current.refined, scheme=current.scheme
+        )
         theta = problem.free_vector(current.values)
         basis, _ = np.linalg.qr(problem.jacobian(theta))
         left = _outside(basis, problem.residuals(theta))

@@ -17,9 +17,10 @@ from identifiability.investigation.search.equivalence import comes_near, could_b
 from identifiability.investigation.search.fitter import Fitter
 from identifiability.investigation.search.found import Found, Missing, Ranking
 from identifiability.investigation.search.gate import Gate, Ranked
-from identifiability.investigation.search.ranking import Progress, Ranker, silent
+from identifiability.investigation.search.ranking import Ranker
 from identifiability.investigation.search.rivals import Rivals
 from identifiability.joint.effects import Effect
+from identifiability.progress import Progress, silent
 
 
 def search(

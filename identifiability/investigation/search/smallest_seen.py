@@ -14,6 +14,7 @@ from identifiability.investigation.fits.candidate import Candidate
 from identifiability.investigation.fits.independent import effective_samples
 from identifiability.joint.effects.base import Effect
 from identifiability.joint.model import Model
+from identifiability.joint.scheme import Scheme
 
 _HALVINGS = 12
 
@@ -59,8 +60,8 @@ def detectable(
     library : mapping of str to type of Effect
     """
     split = bench.split
-    problem = bench.problem(candidate.model, split.fitted)
-    theta = candidate.model.vector(candidate.values)[list(problem.free)]
+    problem = bench.problem(candidate.model, split.fitted, scheme=candidate.scheme)
+    theta = problem.free_vector(candidate.values)
     basis, _ = np.linalg.qr(problem.jacobian(theta))
     before = problem.residuals(theta)
     samples = effective_samples(candidate.fitted)
@@ -107,8 +108,9 @@ def _smallest(
 
     def seen(size: float) -> bool:
         values = shape | dict.fromkeys(sizes[1:], 0.0) | {measure: size}
-        theta = model.vector(values)[list(problem.free)]
-        change = problem.residuals(theta) - before
+        theta = model.vector(values)
+        suited = problem.with_scheme(Scheme.for_model(model, theta, problem.interval))
+        change = suited.residuals(suited.free_vector(values)) - before
         left = change - basis @ (basis.T @ change)
         return bool(scale * left @ left > needed)
 

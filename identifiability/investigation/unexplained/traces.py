@@ -97,7 +97,7 @@ class Response:
 def traces_of(bench: Workbench, candidate: Candidate) -> tuple[list[Trace], Response]:
     """Fitted trials as a candidate leaves them; the motion is still the predicted one."""
     split, model = bench.split, candidate.model
-    problem = bench.problem(model, split.fitted, refined=candidate.refined)
+    problem = bench.problem(model, split.fitted, refined=candidate.refined, scheme=candidate.scheme)
     nuisances = _jacobians(bench, problem, candidate)
     traces = []
     for ready, residual, nuisance in zip(
@@ -191,11 +191,9 @@ def _response(candidate: Candidate, traces: Sequence[Trace]) -> Response:
 
 def _impulse(model: Model, values: dict[str, float], n: int, interval: float) -> np.ndarray:
     time = np.arange(n + 1) * interval
-    theta, substeps = model.vector(values), None if model.linear else 2
+    theta = model.vector(values)
     moved, still = (
-        simulate(
-            model, theta, SampledTorque(size * (time == time[1])).drive(time), substeps=substeps
-        )
+        simulate(model, theta, SampledTorque(size * (time == time[1])).drive(time))
         for size in (1.0, 0.0)
     )
     return np.asarray((moved - still)[1:])

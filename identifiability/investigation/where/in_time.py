@@ -79,10 +79,10 @@ class TimeView(View):
         if self.latency is None:
             return sentence + "."
         if not self.latency:
-            return sentence + "; K, B and I can account not even for its beginning."
+            return sentence + "; K, B and I cannot account even for its beginning."
         return (
-            f"{sentence}; K, B and I can account for the first {1000 * self.latency:.0f} ms, no "
-            "longer."
+            f"{sentence}; fitted to the beginning alone, K, B and I account for the first "
+            f"{1000 * self.latency:.0f} ms, no longer."
         )
 
     def panels(self) -> tuple[Panel, ...]:
@@ -98,13 +98,15 @@ class TimeView(View):
         if self.latency:
             room_above(panel, 2.0, 1.0)
             panel.axvline(1000 * self.latency, color=VERMILLION, lw=1.4)
+            late = self.latency > np.mean(self.edges[[0, -1]])
             panel.annotate(
-                f"K, B and I suffice until {1000 * self.latency:.0f} ms",
+                f"fitted until here alone, K, B and I suffice ({1000 * self.latency:.0f} ms)",
                 (1000 * self.latency, 0.98),
                 xycoords=("data", "axes fraction"),
-                xytext=(5, 0),
+                xytext=(-5 if late else 5, 0),
                 textcoords="offset points",
                 color=VERMILLION,
+                ha="right" if late else "left",
                 va="top",
             )
 

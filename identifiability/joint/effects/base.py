@@ -141,6 +141,25 @@ class Effect(ABC):
         """
         return ""
 
+    def pace(self, values: Mapping[str, float]) -> float:
+        """Fastest rate of change that the effect adds to the joint's linearisation at rest.
+
+        The steps of the integrator follow from it; it may be the rate of motions of 0.1 rad and 1
+        rad/s where it grows with the motion. Every fit that is quoted is integrated again with half
+        the step, so an effect that says nothing (0) costs time and not truth.
+
+        Parameters
+        ----------
+        values : mapping of str to float
+            All parameters of the model by their full names.
+
+        Returns
+        -------
+        float
+            In 1/s.
+        """
+        return 0.0
+
     @property
     def kind(self) -> Literal["physics", "measurement"]:
         """Whether the effect is in the joint or in the instruments."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import jax.numpy as jnp
 from jax import Array
@@ -67,3 +67,8 @@ class CoulombFriction(Effect):
         force, smooth, breakaway = p
         stribeck = jnp.exp(-((jnp.asarray(motion.velocity) / _STRIBECK_VELOCITY) ** 2))
         return force * jnp.tanh(motion.velocity / smooth) * (1 + breakaway * stribeck)
+
+    def pace(self, values: Mapping[str, float]) -> float:
+        """Rate at which friction stops the joint within its smoothing velocity."""
+        force, smooth, breakaway = (values[f"{self.key}.{p.name}"] for p in self.parameters)
+        return force * (1 + breakaway) / (smooth * values["I"])

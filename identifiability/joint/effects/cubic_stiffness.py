@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 
 import jax.numpy as jnp
 from jax import Array
@@ -10,6 +11,8 @@ from jax.typing import ArrayLike
 
 from identifiability.joint.effects.base import Effect, Motion
 from identifiability.joint.parameters import Parameter
+
+_TYPICAL = 0.1  # rad, an angle that joints are moved by
 
 
 class CubicStiffness(Effect):
@@ -41,3 +44,8 @@ class CubicStiffness(Effect):
     ) -> ArrayLike:
         """Torque [Nm] beyond that of a linear spring."""
         return p[0] * jnp.asarray(motion.angle) ** 3
+
+    def pace(self, values: Mapping[str, float]) -> float:
+        """Frequency [rad/s] to which the stiffness at a typical angle would raise the joint."""
+        stiffening = 3 * abs(values["cubic_stiffness.coefficient"]) * _TYPICAL**2
+        return math.sqrt(stiffening / values["I"])

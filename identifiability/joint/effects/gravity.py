@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 
 import jax.numpy as jnp
@@ -58,6 +59,10 @@ class Gravity(Effect):
     ) -> ArrayLike:
         """Torque [Nm] beyond that at the operating point."""
         return p[0] * (jnp.sin(p[1] + motion.angle) - jnp.sin(p[1]))
+
+    def pace(self, values: Mapping[str, float]) -> float:
+        """Frequency [rad/s] of the segment as a pendulum."""
+        return math.sqrt(values["gravity.moment"] / values["I"])
 
     def objection(self, values: Mapping[str, float]) -> str:
         """Whether the segment would be too short for its inertia."""

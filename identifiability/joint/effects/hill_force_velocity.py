@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import jax.numpy as jnp
 from jax import Array
@@ -87,3 +87,8 @@ class HillForceVelocity(Effect):
         velocity = motion.velocity / fastest
         stretched, shortened = _force_change(velocity), _force_change(-velocity)
         return 0.5 * strength * ((1 + asymmetry) * stretched - (1 - asymmetry) * shortened)
+
+    def pace(self, values: Mapping[str, float]) -> float:
+        """Rate of the damping at rest, which a fast motion takes away."""
+        strength, fastest = values[f"{self.key}.strength"], values[f"{self.key}.max_velocity"]
+        return strength * (1 + 1 / _CURVATURE) / (fastest * values["I"])

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import jax.numpy as jnp
@@ -89,6 +90,12 @@ class LooseCoupling(Effect):
         """Motion of the second body."""
         held = p[4] * states[0] + p[5] * states[1]
         return jnp.stack([states[1], self._contact(p, motion, states) - held])
+
+    def pace(self, values: Mapping[str, float]) -> float:
+        """Frequency [rad/s] of the two bodies in contact, with its damping."""
+        inertia, frequency, damping = (values[f"{self.key}.{p.name}"] for p in self.parameters[:3])
+        omega = 2 * math.pi * frequency * math.sqrt(1 + inertia / values["I"])
+        return omega * (1 + 2 * damping)
 
     @staticmethod
     def _contact(p: Sequence[Array], motion: Motion, states: Array) -> Array:

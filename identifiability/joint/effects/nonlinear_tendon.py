@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 
 import jax.numpy as jnp
 from jax import Array
@@ -10,6 +11,8 @@ from jax.typing import ArrayLike
 
 from identifiability.joint.effects.base import Effect, Motion
 from identifiability.joint.parameters import Parameter
+
+_TYPICAL = 0.05  # rad, a stretch that tendons undergo
 
 
 class NonlinearTendon(Effect):
@@ -76,6 +79,12 @@ class NonlinearTendon(Effect):
         exponent = jnp.clip(hardening * motion.angle, -30.0, 30.0)
         odd, even = _sinhc(exponent), jnp.sinh(0.5 * exponent) * _sinhc(0.5 * exponent)
         return stiffness * motion.angle * (odd + asymmetry * even)
+
+    def pace(self, values: Mapping[str, float]) -> float:
+        """Rate by which a typical stretch quickens the muscle behind the tendon."""
+        stiffness, hardening = values[f"{self.key}.stiffness"], values[f"{self.key}.hardening"]
+        hardened = math.cosh(min(hardening * _TYPICAL, 30.0)) - 1
+        return hardened * stiffness * (1 / max(values["B"], 1e-9))
 
 
 def _sinhc(x: Array) -> Array:

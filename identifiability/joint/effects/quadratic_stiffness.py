@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 
 import jax.numpy as jnp
 from jax import Array
@@ -12,6 +13,7 @@ from identifiability.joint.effects.base import Effect, Motion
 from identifiability.joint.parameters import Parameter
 
 _SERIES = 0.02  # of h theta, below which the closed form cancels
+_TYPICAL = 0.1  # rad, an angle that joints are moved by
 
 
 class QuadraticStiffness(Effect):
@@ -66,3 +68,8 @@ class QuadraticStiffness(Effect):
         closed = (jnp.expm1(large) - large) / large**2
         series = 0.5 + grown / 6 + grown**2 / 24 + grown**3 / 120 + grown**4 / 720
         return 2 * p[0] * angle**2 * jnp.where(small, series, closed)
+
+    def pace(self, values: Mapping[str, float]) -> float:
+        """Frequency [rad/s] to which the stiffness at a typical angle would raise the joint."""
+        stiffening = 2 * abs(values["quadratic_stiffness.coefficient"]) * _TYPICAL
+        return math.sqrt(stiffening / values["I"])

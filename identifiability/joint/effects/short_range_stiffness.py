@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import ClassVar
 
 import jax.numpy as jnp
@@ -97,6 +97,10 @@ class ShortRangeStiffness(Effect):
         growing = jnp.where(stretch * motion.velocity > 0, motion.velocity, 0.0)
         change = motion.velocity - growing * self._yielding(p, states) - p[3] * stretch
         return jnp.reshape(change, (1,))
+
+    def pace(self, values: Mapping[str, float]) -> float:
+        """Rate at which the cross-bridges yield at 1 rad/s."""
+        return values[f"{self.key}.sharpness"] / values[f"{self.key}.range"]
 
     @staticmethod
     def _yielding(p: Sequence[Array], states: Array) -> Array:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import jax.numpy as jnp
 from jax import Array
@@ -49,3 +49,7 @@ class StiffeningHysteresis(ShortRangeStiffness):
         """Stretch of the element."""
         back = jnp.where(states[0] * motion.velocity < 0, motion.velocity, 0.0)
         return super().rates(p, motion, states, delayed) - p[4] * back * self._yielding(p, states)
+
+    def pace(self, values: Mapping[str, float]) -> float:
+        """Rate at which it yields or stiffens at 1 rad/s."""
+        return super().pace(values) * (1 + abs(values[f"{self.key}.reversal"]))

@@ -162,6 +162,11 @@ class StretchReflex(Effect):
         """Delay [s] of the reflex loop."""
         return p[2]
 
+    def pace(self, values: Mapping[str, float]) -> float:
+        """Difference between the rates of activation and deactivation."""
+        ratio = values[f"{self.key}.off_ratio"]
+        return (1 - 1 / ratio) / values[f"{self.key}.time_constant"]
+
     def doubt(self, values: Mapping[str, float]) -> str:
         """Whether the delay is the shortest possible: the fit wanted something quicker."""
         if values["stretch_reflex.delay"] > _AT * _SHORTEST:

@@ -1,4 +1,4 @@
-"""The page of the atlas, made from the record of `atlas_record` alone."""
+"""The page of the atlas, made from the record of `study.atlas_record` alone."""
 
 from __future__ import annotations
 
@@ -7,14 +7,14 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from identifiability.inference.widths import VERDICTS
+from identifiability.provenance import made_by
+from identifiability.report.markdown import number, percent, table, words
 from identifiability.study.atlas_record import AWAY
-from identifiability.study.replication import number, percent
 
 Record = Mapping[str, Any]
 
 MOST_LISTED = 20
 
-_PERTURBATIONS = {"double_pulse": "double pulse"}
 _AXES = {
     "perturbation": "Perturbation",
     "ratio": "K_SE / K_CE",
@@ -70,7 +70,7 @@ with the full posterior distribution, sampled by MCMC with those impossible valu
 
 The grid: K_CE {_range(plan["K_CE"], "Nm/rad")}, B_CE {_range(plan["B_CE"], "Nms/rad")},
 K_SE = {_listed(f"{r:g}" for r in plan["ratio"])} times K_CE, I = 0.1 kg m²; {durations} ms of the
-response to {_listed(_name(p) for p in plan["perturbations"])}, sampled at {plan["rate"]:g} Hz, with
+response to {_listed(words(p) for p in plan["perturbations"])}, sampled at {plan["rate"]:g} Hz, with
 {noise} noise. {cells["done"]} of {cells["total"]} cells have a result.
 
 The noise is matched to the paper's ΔE = {plan["dE"]:g} in two readings. *contour*: one standard
@@ -139,7 +139,7 @@ The quadratic width of a parameter *agrees* if the posterior's standard deviatio
 its three parameters'. The last column counts cells in which the standard deviations alone are
 right, wherever the intervals lie.
 
-{_table(["Noise", "T", *present, "sd alone"], rows)}
+{table(["Noise", "T", *present, "sd alone"], rows)}
 
 {_glossary(present, criteria)}
 
@@ -158,8 +158,8 @@ Cells that agree, along each axis of the grid:
                 for v in values
             ]
             rows.append([reading, *cells])
-        heads = [_name(v) if isinstance(v, str) else f"{v:g}" for v in values]
-        text += f"\n{title}:\n\n{_table(['Noise', *heads], rows)}\n"
+        heads = [words(v) if isinstance(v, str) else f"{v:g}" for v in values]
+        text += f"\n{title}:\n\n{table(['Noise', *heads], rows)}\n"
     return text
 
 
@@ -196,7 +196,7 @@ def _ratios(record: Record) -> str:
 Posterior standard deviation divided by the quadratic width: below 1 the ellipse is too wide,
 above 1 too narrow. The last column counts cells in which the Hessian gives no width at all.
 
-{_table(["Noise", "T", "", "5 %", "median", "95 %", "no width"], rows)}"""
+{table(["Noise", "T", "", "5 %", "median", "95 %", "no width"], rows)}"""
 
 
 def _why(record: Record) -> str:
@@ -223,11 +223,11 @@ widths from the full Hessian and from the slopes alone (Gauss-Newton); it is 1 w
 exactly or is linear in its parameters. *E\\**: the error at the optimum, what KBI cannot describe
 of the response. Medians:
 
-{_table(["Noise", "Verdict", "Cells", "Shift", "Distance", "Bend", "E*"], causes)}
+{table(["Noise", "Verdict", "Cells", "Shift", "Distance", "Bend", "E*"], causes)}
 
 Share of cells that agree, by distance:
 
-{_table(*_distance_table(record))}
+{table(*_distance_table(record))}
 """
     for group in record["bounds"]:
         if group["of"]:
@@ -250,7 +250,7 @@ How closely does each go with the shift? Rank correlations, 1 if the one always 
 other; nearness is distance with its sign turned. Over all cells the bounds may hide what else
 matters, so that cells away from them are also given alone:
 
-{_table(["Noise", "Distance", "Cells", "Nearness to a bound", "Bend", "E*"], rows)}"""
+{table(["Noise", "Distance", "Cells", "Nearness to a bound", "Bend", "E*"], rows)}"""
     errors = [group["E"]["spearman"] for group in record["associations"]]
     if all(value is not None and value < 0 for value in errors):
         text += """
@@ -332,7 +332,7 @@ More than {referee["limit"]:g} Monte Carlo errors are no chance. This is so in
 {_cells(len(disagreeing))}. One of the two methods has missed a part of the posterior there, such as
 a second, separate optimum, and the verdict is not to be relied on:
 
-{_table(["Cell", "Verdict", "", "sampled sd", "integrated sd"], rows)}"""
+{table(["Cell", "Verdict", "", "sampled sd", "integrated sd"], rows)}"""
     return text
 
 
@@ -351,7 +351,7 @@ def _failed(record: Record) -> str:
 
 The same command tries them again.{rest}
 
-{_table(["Cell", "Status", "Cause"], rows)}"""
+{table(["Cell", "Status", "Cause"], rows)}"""
 
 
 def _figures(record: Record) -> str:
@@ -380,7 +380,7 @@ def _again(record: Record) -> str:
 
     {record["command"]}
 
-With {record["package"]}, seed {record["plan"]["seed"]}.{cost} The same command, typed again after
+With {made_by(record)}, seed {record["plan"]["seed"]}.{cost} The same command, typed again after
 an interruption, goes on where it was; numbers for all cells are in `atlas.nc`
 (`xarray.open_dataset("atlas.nc")`), those of this page in `atlas.json`."""
 
@@ -396,11 +396,6 @@ def _filled(section: str) -> str:
         )
         for part in parts
     )
-
-
-def _table(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    lines = [heads, ["---"] * len(heads), *rows]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
 
 
 def _median(quantiles: Record) -> str:
@@ -423,10 +418,6 @@ def _milliseconds(T: float) -> str:
     return f"{1000 * T:g} ms"
 
 
-def _name(perturbation: str) -> str:
-    return _PERTURBATIONS.get(perturbation, perturbation)
-
-
 def _range(values: Sequence[float], unit: str) -> str:
     if len(values) == 1:
         return f"{values[0]:g} {unit}"
@@ -441,5 +432,5 @@ def _listed(words: Iterable[str]) -> str:
 def _place(cell: Record) -> str:
     return (
         f"K_CE {cell['K_CE']:g}, B_CE {cell['B_CE']:g}, K_SE/K_CE {cell['ratio']:g}, "
-        f"{_milliseconds(cell['T'])}, {_name(cell['perturbation'])}, {cell['reading']}"
+        f"{_milliseconds(cell['T'])}, {words(cell['perturbation'])}, {cell['reading']}"
     )

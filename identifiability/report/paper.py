@@ -1,7 +1,7 @@
 """The page that puts the published numbers of Kistemaker & Rozendaal (2011) beside ours.
 
-It is made from the record of `paper_record` alone. Published numbers, and only those, are written
-here by hand.
+It is made from the record of `study.paper_record` alone. Published numbers, and only those, are
+written here by hand.
 """
 
 from __future__ import annotations
@@ -11,11 +11,12 @@ import textwrap
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
+from identifiability.provenance import made_by
+from identifiability.report.markdown import number, percent, table, words
+
 COMMAND = "identifiability paper --out results"
 
 Record = Mapping[str, Any]
-
-_SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 class Published(NamedTuple):
@@ -42,20 +43,6 @@ class Published(NamedTuple):
     ours: Callable[[Record], str]
     outcome: Callable[[Record], str]
     note: str = ""
-
-
-def number(value: float, digits: int = 3) -> str:
-    """Plain number with so many significant digits, as a power of ten where it is very small."""
-    if 0 < abs(value) < 1e-3:
-        mantissa, exponent = f"{value:.1e}".split("e")
-        return f"{mantissa} × 10{str(int(exponent)).translate(_SUPERSCRIPTS)}"
-    text = f"{value:.0f}" if abs(value) >= 10 ** (digits - 1) else f"{value:#.{digits}g}"
-    return text.rstrip(".").replace("-", "−")
-
-
-def percent(fraction: float) -> str:
-    """Fraction in per cent."""
-    return f"{number(100 * fraction, 2 if abs(fraction) < 1 else 3)} %"
 
 
 def _panel(record: Record, letter: str) -> Record:
@@ -392,9 +379,9 @@ def _note_perturbations(record: Record) -> str:
     errors = _medians(record, "T50", "E")
     low, high = min(errors, key=errors.__getitem__), max(errors, key=errors.__getitem__)
     return f"""\
-At 50 ms the median ΔK/K runs from {percent(short[least])} ({_words(least)}) to
-{percent(short[most])} ({_words(most)}), and the median E* from {number(errors[low], 2)}
-({_words(low)}) to {number(errors[high], 2)} ({_words(high)}). The two go together: the perturbation
+At 50 ms the median ΔK/K runs from {percent(short[least])} ({words(least)}) to
+{percent(short[most])} ({words(most)}), and the median E* from {number(errors[low], 2)}
+({words(low)}) to {number(errors[high], 2)} ({words(high)}). The two go together: the perturbation
 that KBI follows best is the one that says least about K. At 200 ms the perturbations differ
 little in ΔK/K. The paper does not give the duration of its pulses; ours take 10 ms, and the second
 of a double pulse follows at once with the opposite sign."""
@@ -437,10 +424,6 @@ def page(record: Record) -> str:
     return _reflow("\n\n".join(parts))
 
 
-def _words(key: str) -> str:
-    return key.replace("_", " ")
-
-
 def _reflow(markdown: str) -> str:
     """Break paragraphs and list items into lines anew, numbers having been put in."""
     blocks = []
@@ -462,11 +445,6 @@ def _reflow(markdown: str) -> str:
             )
         blocks.append("\n".join(items))
     return "\n\n".join(blocks) + "\n"
-
-
-def _table(head: list[str], rows: list[list[str]]) -> str:
-    lines = [head, ["---"] * len(head), *rows]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines) + "\n"
 
 
 def _figure(name: str, caption: str) -> str:
@@ -497,7 +475,7 @@ It is written, with its numbers and figures, by
 {COMMAND}
 ```
 
-(version {record["package"]}) from {record["fits"]} fits; the numbers are in `paper.json`, all fits
+({made_by(record)}) from {record["fits"]} fits; the numbers are in `paper.json`, all fits
 in `paper.nc`.
 {quick}"""
 
@@ -527,7 +505,8 @@ def _published(record: Record) -> str:
 The table compares every number that the text of the paper prints, and the general statements that
 can be counted. K in Nm/rad, B in Nms/rad.
 
-{_table(head, rows)}
+{table(head, rows)}
+
 ### Notes
 
 {notes}
@@ -542,7 +521,7 @@ def _examples(record: Record) -> str:
             [
                 p["panel"],
                 f"{s['K_CE']:g}, {s['B_CE']:g}, {s['K_SE']:g}, {s['I']:g}",
-                f"{_words(p['perturbation'])}, {1000 * p['T']:.0f} ms",
+                f"{words(p['perturbation'])}, {1000 * p['T']:.0f} ms",
                 *(number(p[name], 4) for name in ("K", "B", "I")),
                 number(p["E"], 2),
                 *(f"{percent(abs(p['d' + name] / p[name]))}" for name in ("K", "B")),
@@ -554,7 +533,8 @@ def _examples(record: Record) -> str:
     return f"""\
 ## Four examples (Figures 2 and 7)
 
-{_table(head, rows)}
+{table(head, rows)}
+
 The fitted inertia is not the joint's either: {number(D["I"], 3)} instead of
 {number(record["I_MSM"], 3)} kg m² in panel D.
 
@@ -583,7 +563,8 @@ def _grids(record: Record) -> str:
 
 K_SE = 5 K_CE, impulse. E* by window:
 
-{_table(["T", "lower quartile", "median", "upper quartile", "largest"], rows)}
+{table(["T", "lower quartile", "median", "upper quartile", "largest"], rows)}
+
 {_figure("figure3", "Figure 3. Smallest error E*.")}
 At 200 ms two kinds of fit compete: a slow one, with K near K_LF, and a fast one, with K near
 K_HF and less damping. Where one takes over from the other K and B change abruptly, and with them
@@ -613,7 +594,8 @@ def _approximations(record: Record) -> str:
 
 Number of cells (K_SE = 5 K_CE, impulse) by the distance of the fitted value:
 
-{_table(["T", "distance of", *labels], rows)}
+{table(["T", "distance of", *labels], rows)}
+
 The paper's first conclusion comes out: K and B resemble neither the muscle's own values nor, in
 most cells, either approximation.
 """
@@ -644,7 +626,8 @@ def _sensitivities(record: Record) -> str:
 Eq. 15 asks how far K, B and I can move together before E rises by {number(record["dE"], 1)}.
 K_SE = 5 K_CE, impulse, {record["sensitivity"]["T50"]["cells"]} cells:
 
-{_table(head, rows)}
+{table(head, rows)}
+
 The caption of Figure 3 lets B_CE end at {grid[-1]:g} Nms/rad, the Methods at {wider_B:g}; the last
 column shows that this hardly matters.
 
@@ -681,7 +664,7 @@ def _perturbations(record: Record) -> str:
             rows.append(
                 [
                     f"{T[1:]} ms",
-                    _words(key),
+                    words(key),
                     text("E", short),
                     text("K_over_K_LF", short),
                     text("B_over_B_LF", short),
@@ -696,14 +679,15 @@ def _perturbations(record: Record) -> str:
 
 Median (quartiles) over the cells with K_SE = 5 K_CE; K_LF and B_LF are the slow limits of Table 1:
 
-{_table(head, rows)}
+{table(head, rows)}
+
 {_figure("perturbations", "Medians and quartiles by perturbation and window.")}
 """
 
 
 def _conditions(record: Record) -> str:
     bounds = "; ".join(
-        f"{b['cells']} cells of the {_words(b['perturbation'])} at {1000 * b['T']:.0f} ms "
+        f"{b['cells']} cells of the {words(b['perturbation'])} at {1000 * b['T']:.0f} ms "
         f"(K_SE = {b['ratio']:g} K_CE) have {b['parameter']} on a bound"
         for b in record["at_bound"]
     )

@@ -1,0 +1,125 @@
+"""How a model is integrated: exactly, or in steps that follow from it and the sampling interval."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+from jax.typing import ArrayLike
+
+from identifiability.errors import InputError
+from identifiability.joint.model import Model
+
+_SECOND, _FOURTH = 0.1, 0.75
+"""Radians or e-folds of the fastest change in one step, at which dry friction, the least smooth of
+the effects, is integrated to E = 1e-5 by the second-order scheme and to 1e-6 by the fourth."""
+_MOST_SECOND = 4  # steps of second order, from which on fewer of fourth order are quicker
+
+MOST_SUBSTEPS = 128
+"""Steps per sampling interval beyond which a model counts as too fast for its samples."""
+
+
+@dataclass(frozen=True)
+class Scheme:
+    """Steps in which the response of a model is computed.
+
+    Attributes
+    ----------
+    substeps : int
+        Exponential Runge-Kutta steps per sampling interval; 0 for the exact response of a linear
+        model.
+    order : {4, 2}
+        Power of the step with which the error falls.
+    """
+
+    substeps: int
+    order: Literal[2, 4] = 4
+
+    def __post_init__(self) -> None:
+        if self.substeps < 0 or self.order not in (2, 4):
+            raise InputError(
+                f"found {self.substeps} steps of order {self.order} per sample, expected a "
+                "positive number (0: exact) of order 2 or 4"
+            )
+
+    @classmethod
+    def for_model(cls, model: Model, theta: ArrayLike, interval: float) -> Scheme:
+        """Scheme that suits a model: exact if it is linear, else as its fastest effect asks.
+
+        The number of steps is a power of two.
+
+        Parameters
+        ----------
+        model : Model
+        theta : array, shape (n_parameters,)
+        interval : float
+            Sampling interval [s].
+        """
+        if model.linear:
+            return EXACT
+        values = dict(zip(model.parameter_names, map(float, np.asarray(theta)), strict=True))
+        turned = model.pace(values) * interval
+        if turned <= _SECOND * _MOST_SECOND:
+            return cls(_power_of_two(turned / _SECOND), 2)
+        return cls(min(_power_of_two(turned / _FOURTH), MOST_SUBSTEPS), 4)
+
+    @property
+    def exact(self) -> bool:
+        """Whether nothing is integrated."""
+        return self.substeps == 0
+
+    @property
+    def halved(self) -> Scheme:
+        """The same with steps half as long: what tells the error of this one."""
+        return replace(self, substeps=2 * self.substeps)
+
+    @property
+    def finer(self) -> Scheme:
+        """The next better scheme at about twice the work."""
+        if self.order == 2 and self.substeps >= _MOST_SECOND:
+            return Scheme(max(self.substeps // 2, 1), 4)
+        return self.halved
+
+    @property
+    def finest(self) -> bool:
+        """Whether it is as fine as schemes get."""
+        return self.substeps >= MOST_SUBSTEPS
+
+    def is_finer_than(self, other: Scheme) -> bool:
+        """Whether it does more work, or work of a higher order."""
+        return (self.substeps * self.order, self.order) > (
+            other.substeps * other.order,
+            other.order,
+        )
+
+    def check(self, model: Model) -> None:
+        """Refuse to compute a model by a scheme that does not suit it.
+
+        Raises
+        ------
+        InputError
+            Where the exact response is asked of a model that has none.
+        """
+        if self.exact and not model.linear:
+            raise InputError(
+                f"found no steps for {model!r}, which has no exact response; leave the scheme to "
+                "Scheme.for_model, or give Scheme(substeps)"
+            )
+
+    def __str__(self) -> str:
+        if self.exact:
+            return "exact"
+        steps = "step" if self.substeps == 1 else "steps"
+        return f"{self.substeps} {steps} a sample of order {self.order}"
+
+
+EXACT = Scheme(0)
+"""The exact response, of linear models."""
+
+
+def _power_of_two(number: float) -> int:
+    """The next power of two, from 1 on."""
+    limited = min(max(number, 1.0), 2.0 * MOST_SUBSTEPS)
+    return 1 << math.ceil(math.log2(limited) - 1e-9)

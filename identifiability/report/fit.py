@@ -1,0 +1,63 @@
+"""A fit of recorded trials as text, and its record, posterior and figures in a folder."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from identifiability.files import write_json
+from identifiability.inference.archive import write_netcdf
+from identifiability.inference.recordings import Goodness, RecordingFit
+from identifiability.inference.records import fit_record
+from identifiability.plots.corner import corner_figure
+from identifiability.plots.recording import overlay_figure, windows_figure
+from identifiability.plots.style import save
+from identifiability.report.widths import widths_text
+
+
+def write_fit(result: RecordingFit, out: Path) -> list[str]:
+    """Write record, posterior and figures into a folder; returns the files' names."""
+    title = result.prepared[0].trial.name
+    if len(result.prepared) > 1:
+        title += f" and {len(result.prepared) - 1} more"
+    figures = {
+        "overlay.png": overlay_figure(result),
+        "corner.png": corner_figure(result.widths, result.problem.model, title=title),
+    }
+    if result.windows:
+        figures["windows.png"] = windows_figure(result)
+    for name, figure in figures.items():
+        save(figure, out / name)
+    write_netcdf(result.problem, result.widths, out / "posterior.nc")
+    write_json(out / "fit.json", fit_record(result))
+    return ["fit.json", *figures, "posterior.nc"]
+
+
+def fit_text(result: RecordingFit) -> str:
+    """What the fit found, as text."""
+
+    def quality(goodness: Goodness) -> str:
+        return f"E = {goodness.error:.3g}, VAF = {goodness.vaf:.2f} %"
+
+    lines = [widths_text(result.widths), "", f"{quality(result.goodness)} on all that was fitted"]
+    share = min(result.independent_fractions)
+    if share < 0.5:
+        lines.append(
+            f"the residual is correlated: only {100 * share:.2g} % of the samples count as "
+            "independent, and the widths are computed for these"
+        )
+    for row in result.widths.rows:
+        lines.append(f"{row.name}: {row.verdict}, {row.reason}")
+    for w in result.windows:
+        values = ", ".join(
+            f"{r.name} {r.optimum:.4g} ± {r.posterior_sd:.2g}" for r in w.widths.rows
+        )
+        lines.append(
+            f"T = {1000 * w.window:g} ms ({w.n_windows} windows): {values}; "
+            f"VAF {w.goodness.vaf:.2f} %"
+        )
+    if result.held_out is not None:
+        held = result.held_out
+        lines.append(f"fitted to {held.fitted}: {quality(held.goodness_fitted)} there, and")
+        lines.append(f"{quality(held.goodness_held_out)} on {held.held_out}, which was not fitted")
+    lines += [f"note: {warning}" for warning in result.warnings]
+    return "\n".join(lines)
