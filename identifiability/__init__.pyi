@@ -11,6 +11,7 @@ from .inference.sampling import Posterior, Sampler, sample
 from .inference.widths import Width, Widths, widths
 from .investigation.findings import Findings
 from .investigation.fits.candidate import Candidate, Residual
+from .investigation.fits.kept import OnDisk
 from .investigation.investigate import investigate
 from .investigation.next_experiment import Limits, NextExperiment
 from .investigation.record import investigation_record
@@ -49,6 +50,7 @@ from .joint.effects import (
 from .joint.model import KBI, Model
 from .joint.parameters import Parameter
 from .joint.response import simulate
+from .joint.scheme import Scheme
 from .measurement.example import example_trials
 from .measurement.noise import Noise, matched_noise
 from .measurement.perturbations import (
@@ -112,6 +114,7 @@ __all__ = [  # noqa: RUF022 -- in the order of use
     "CoulombFriction",
     "Gravity",
     "SecondMass",
+    "Scheme",
     "SensorDelay",
     "SensorLowpass",
     "SensorDrift",
@@ -147,6 +150,7 @@ __all__ = [  # noqa: RUF022 -- in the order of use
     "Comparison",
     "Location",
     "Rules",
+    "OnDisk",
     "Residual",
     "Candidate",
     "Ranked",

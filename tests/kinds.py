@@ -89,14 +89,14 @@ def respond(model, values, drive, order=4):
     values = np.asarray(values)
     flat = values.reshape(-1, values.shape[-1])
     full = np.concatenate([flat, np.repeat(flat[-1:], -len(flat) % BATCH, axis=0)])
-    arrays, fine = drive_arrays(drive), drive.refined(1)
+    arrays = drive_arrays(drive)
     parts = [
-        np.asarray(_responses(model, order, full[i : i + BATCH], arrays, fine))
+        np.asarray(_responses(model, order, full[i : i + BATCH], arrays))
         for i in range(0, len(full), BATCH)
     ]
     return np.concatenate(parts)[: len(flat)].reshape(*values.shape[:-1], -1)
 
 
 @partial(jax.jit, static_argnums=(0, 1))
-def _responses(model, order, thetas, arrays, fine):
-    return jax.vmap(lambda theta: integrate(model, theta, arrays, fine, 1, order))(thetas)
+def _responses(model, order, thetas, arrays):
+    return jax.vmap(lambda theta: integrate(model, theta, arrays, 1, order))(thetas)

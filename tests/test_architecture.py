@@ -338,3 +338,9 @@ def test_no_machines_path_is_committed():
     for path in TEXTS:
         found = homes.search(path.read_text(encoding="utf-8"))
         assert not found, f"{path}: {found.group()}"
+
+
+@pytest.mark.parametrize("path", sorted((ROOT / "tests").glob("*.py")), ids=lambda path: path.stem)
+def test_no_test_module_imports_another(path):
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    assert not [m for m, _ in imports(tree) if m.split(".")[0].startswith("test_")]

@@ -99,6 +99,7 @@ def test_a_case_is_scored_as_recorded(name, by_seed):
         published.named,
         published.outcome,
     )
+    assert ours.warnings == ()
     for (key, *errors), (expected, *others) in zip(ours.rungs, published.rungs, strict=True):
         assert key == expected
         assert errors == pytest.approx(others, rel=1e-3)

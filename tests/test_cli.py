@@ -1,11 +1,15 @@
 """Bad input to every command: one sentence, exit code 2, no traceback, nothing half-written."""
 
-import json
-
 import numpy as np
 import pytest
 
+from identifiability.benchmark.cases import hidden_cases
+from identifiability.benchmark.run import failed
+from identifiability.cli.exits import PARTIAL
 from identifiability.cli.main import main
+from identifiability.provenance import read_record
+from identifiability.report.benchmark import page
+from identifiability.sweep.outcome import Outcome
 
 HEADER = "time_s,torque_Nm,angle_rad"
 
@@ -124,6 +128,34 @@ def test_an_output_folder_that_is_a_file_is_refused(command, tmp_path, capsys):
     assert "taken" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--seed", 1, -2], "seed -2"),
+        (["--every", 0], "--every 0"),
+        (["--workers", 0], "--workers 0"),
+    ],
+)
+def test_benchmark_refuses_bad_options(options, words, tmp_path, capsys):
+    refuse(["benchmark", "investigation", *options], capsys, tmp_path, words)
+
+
+def test_benchmark_writes_what_failed_too_and_says_so(tmp_path, capsys, monkeypatch):
+    def fails(tasks, folder, *, seeds, every, workers):
+        outcomes = [Outcome("a case", "timed out", cause="no result within 2 s")]
+        (spec,) = hidden_cases("quick", 3)[:1]
+        return {seed: [failed("quick", spec, outcomes[0].cause)] for seed in seeds}, outcomes
+
+    monkeypatch.setattr("identifiability.benchmark.run.run_benchmark", fails)
+    arguments = ["benchmark", "investigation", "--tier", "quick", "--seed", "3", "4"]
+    assert main([*arguments, "--out", str(tmp_path)]) == PARTIAL
+    assert "no result within 2 s" in capsys.readouterr().err
+    record, remark = read_record(tmp_path / "investigation.json")
+    assert remark == ""
+    assert [run["tiers"]["quick"]["outcomes"]["failed"] for run in record["runs"]] == [1, 1]
+    assert (tmp_path / "investigation.md").read_text(encoding="utf-8") == page(record)
+
+
 def test_atlas_refuses_a_missing_or_broken_configuration(tmp_path, capsys):
     refuse(["atlas", tmp_path / "nowhere.toml"], capsys, tmp_path, "nowhere.toml")
     (tmp_path / "broken.toml").write_text("K_CE = [")
@@ -142,7 +174,8 @@ def test_widths_writes_what_it_says(tmp_path, capsys):
     options = ["--perturbation", "impulse", "--window", "0.05", "--noise", "contour", "--seed", "1"]
     assert main(["widths", "--msm", "32", "3.2", "100", "0.1", *options, "--out", str(out)]) == 0
     assert sorted(p.name for p in out.iterdir()) == ["corner.png", "posterior.nc", "widths.json"]
-    record = json.loads((out / "widths.json").read_text())
+    record, remark = read_record(out / "widths.json")
+    assert remark == ""
     assert set(record["parameters"]) == {"K", "B", "I"}
     stiffness = record["parameters"]["K"]
     # A deterministic reference: three-dimensional Gauss-Legendre quadrature with 250³ nodes.

@@ -14,6 +14,7 @@ from identifiability.joint.integrator import integrate
 from identifiability.joint.model import KBI
 from identifiability.joint.parameters import Parameter
 from identifiability.joint.response import drive_arrays, simulate
+from identifiability.joint.scheme import EXACT, Scheme
 from identifiability.measurement.perturbations import (
     Impulse,
     SampledTorque,
@@ -22,8 +23,8 @@ from identifiability.measurement.perturbations import (
 )
 
 PARAMETERS = (
-    Parameter("angle_gain", "g", "Nm/rad", 0.0, -500.0, 500.0, "gain on the angle", null=0.0),
-    Parameter("velocity_gain", "h", "Nms/rad", 0.0, -50.0, 50.0, "gain on the velocity", null=0.0),
+    Parameter("angle_gain", "g", "Nm/rad", 1.0, -500.0, 500.0, "gain on the angle", null=0.0),
+    Parameter("velocity_gain", "h", "Nms/rad", 1.0, -50.0, 50.0, "gain on the velocity", null=0.0),
     Parameter("delay", "d", "s", 0.02, 0.0, 0.2, "loop delay"),
 )
 
@@ -32,6 +33,7 @@ class Feedback(Effect):
     """Torque in proportion to the angle and velocity one delay ago."""
 
     key = "feedback"
+    title = "delayed feedback"
     place = "joint"
     linear = True
     parameters = PARAMETERS
@@ -79,7 +81,7 @@ def by_steps(feedback, torque, delay, time=TIME):
 
 def respond(feedback, torque, delay, substeps):
     drive = TORQUES[torque][0].drive(TIME)
-    return simulate(MODEL, theta(feedback, delay), drive, substeps=substeps)
+    return simulate(MODEL, theta(feedback, delay), drive, scheme=Scheme(substeps))
 
 
 def errors(feedback, torque, delay, substeps):
@@ -93,8 +95,8 @@ def test_without_delay_the_oracle_and_the_model_are_kbi():
     agree(by_steps("velocity", "impulse", 1e-9, np.array([0.0, 2e-9])), [0.0, 2e-8], 1e-6)
     agree(respond("velocity", "impulse", 0.0, 2), expected, 1e-4)
     assert not MODEL.linear
-    with pytest.raises(InputError, match="give the number of substeps"):
-        simulate(MODEL, theta("velocity", 0.02), Impulse().drive(TIME))
+    with pytest.raises(InputError):
+        simulate(MODEL, theta("velocity", 0.02), Impulse().drive(TIME), scheme=EXACT)
 
 
 # An impulse makes the velocity jump, and with it the torque of a velocity feedback one delay later.
@@ -141,8 +143,8 @@ def test_a_delay_shorter_than_a_step(feedback):
 
 
 @partial(jax.jit, static_argnums=0)
-def jacobian(substeps, values, arrays, fine):
-    return jax.jacfwd(lambda x: integrate(MODEL, x, arrays, fine, substeps))(values)
+def jacobian(substeps, values, arrays):
+    return jax.jacfwd(lambda x: integrate(MODEL, x, arrays, substeps))(values)
 
 
 @pytest.mark.parametrize("torque", TORQUES)
@@ -152,13 +154,13 @@ def test_derivatives_are_those_of_the_delay_equation(feedback, torque, delay):
     if (feedback, torque) == ("velocity", "impulse"):
         pytest.skip("the delayed velocity jumps: no derivative of the steps sees a jump move")
     drive, values = TORQUES[torque][0].drive(TIME), theta(feedback, delay)
-    derivative = np.asarray(jacobian(4, values, drive_arrays(drive), drive.refined(4)))
+    derivative = np.asarray(jacobian(4, values, drive_arrays(drive)))
     ends = [by_steps(feedback, torque, delay + shift) for shift in (-1e-5, 1e-5)]
     # First order where a delayed corner of the torque falls inside a step.
     agree(derivative[:, 5], (ends[1] - ends[0]) / 2e-5, 1e-4 if torque == "sinusoid" else 5e-3)
 
     def model(x):
-        return simulate(MODEL, x, drive, substeps=4)
+        return simulate(MODEL, x, drive, scheme=Scheme(4))
 
     differences = central_difference(model, values, [1.0, 1.0, 0.1, 1.0, 1.0, 1e-3], 1e-3)
     for column in range(5):
@@ -183,7 +185,7 @@ def test_a_muscle_with_a_tendon_gets_the_joints_delayed_motion():
     expected = method_of_steps(rates, np.zeros(3), TIME, delay)[0]
     values = np.array([stiffness, damping, I, 0.0, gain, delay, tendon])
     assert model.parameter_names[3] == "muscle_feedback.angle_gain"
-    found = simulate(model, values, TORQUES["sinusoid"][0].drive(TIME), substeps=2)
+    found = simulate(model, values, TORQUES["sinusoid"][0].drive(TIME), scheme=Scheme(2))
     agree(found, expected, 1e-7)
 
 
@@ -198,7 +200,7 @@ def test_torque_of_an_imposed_cubic_motion_is_exact():
         past = np.maximum(TIME - delay, 0.0)
         expected = K * cubic(TIME) + B * cubic.deriv()(TIME) + I * cubic.deriv(2)(TIME)
         expected += 60.0 * cubic(past) + 2.0 * cubic.deriv()(past)
-        found = simulate(MODEL, np.array([K, B, I, 60.0, 2.0, delay]), drive, substeps=1)
+        found = simulate(MODEL, np.array([K, B, I, 60.0, 2.0, delay]), drive)
         agree(found, expected, 1e-9)
 
 
@@ -206,7 +208,7 @@ def test_delay_of_an_imposed_motion_has_the_right_derivative():
     cubic = np.polynomial.Polynomial([0.02, 0.0, -8.0, 90.0])
     drive = imposed_motion(TIME, cubic(TIME))
     values = np.array([K, B, I, 60.0, 2.0, 0.0203])
-    found = jacobian(4, values, drive_arrays(drive), drive.refined(4))[:, 5]
+    found = jacobian(4, values, drive_arrays(drive))[:, 5]
     past = TIME - 0.0203
     slope = 60.0 * cubic.deriv()(past) + 2.0 * cubic.deriv(2)(past)
     agree(found, np.where(past < 0, 0.0, -slope), 1e-9)
@@ -216,8 +218,8 @@ def test_both_causalities_tell_the_same_story():
     # A smooth torque, so that the spline through the angle is close to it.
     torque = SampledTorque(10 * np.sin(np.pi * TIME / 0.1) ** 4)
     values = theta("velocity", 0.0203)
-    angle = simulate(MODEL, values, torque.drive(TIME), substeps=4)
-    found = simulate(MODEL, values, imposed_motion(TIME, angle), substeps=1)
+    angle = simulate(MODEL, values, torque.drive(TIME), scheme=Scheme(4))
+    found = simulate(MODEL, values, imposed_motion(TIME, angle))
     assert np.max(np.abs(found - torque.values)[5:-5]) < 0.01
     without = simulate(KBI(), values[:3], imposed_motion(TIME, angle))
     assert np.max(np.abs(without - torque.values)) > 1.0

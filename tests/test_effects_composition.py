@@ -108,7 +108,7 @@ def test_it_pickles(effect):
     assert copy.parameters == model.parameters
 
 
-def test_effects_are_equal_by_kind_alone(effect):
+def test_effects_without_fields_are_equal_by_kind(effect):
     assert effect == type(effect)()
     others = [kind() for key, kind in KINDS.items() if key != effect.key]
     assert effect not in others

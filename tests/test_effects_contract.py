@@ -60,24 +60,24 @@ def driven(request):
 
 
 @partial(jax.jit, static_argnums=(0, 1))
-def slopes(model, exact, values, size, arrays, fine):
+def slopes(model, exact, values, size, arrays):
     """First derivatives with respect to parameters in units of their size."""
 
     def response(x):
         if exact:
             return exact_response(model, values + size * x, arrays)
-        return integrate(model, values + size * x, arrays, fine, 1)
+        return integrate(model, values + size * x, arrays, 1)
 
     return jax.jacfwd(response)(np.zeros(size.size))
 
 
 @partial(jax.jit, static_argnums=0)
-def bends(model, values, size, direction, arrays, fine):
+def bends(model, values, size, direction, arrays):
     """First derivatives, and second derivatives along a direction, of the integrated response."""
 
     def along(x):
         def response(y):
-            return integrate(model, values + size * y, arrays, fine, 1)
+            return integrate(model, values + size * y, arrays, 1)
 
         return jax.jvp(response, (x,), (direction,))
 
@@ -214,7 +214,7 @@ def test_derivatives_are_right(effect, driven):
     model, drive = KBI() + effect, DRIVES[driven]
     values = values_of(model)
     size, k = np.abs(values), values.size
-    data = (drive_arrays(drive), drive.refined(1))
+    arrays = drive_arrays(drive)
     # A wide difference could reach over a corner.
     step = 1e-5 if effect.key in IN_PIECES else 1e-4
     shifts = step * np.array([-2, -1, 1, 2])
@@ -223,12 +223,12 @@ def test_derivatives_are_right(effect, driven):
     # Linear models have exact responses, whose second derivatives are tested with these.
     if driven == "torque" and effect.key not in {*IN_PIECES, *LINEAR}:
         direction = np.random.default_rng(0).uniform(0.5, 1.0, k)
-        found, second = map(np.asarray, bends(model, values, size, direction, *data))
+        found, second = map(np.asarray, bends(model, values, size, direction, arrays))
         moved = [values + shift * direction * size for shift in shifts]
-        firsts = [bends(model, at, size, direction, *data)[0] for at in moved]
+        firsts = [bends(model, at, size, direction, arrays)[0] for at in moved]
         agree(second, differences(np.asarray(firsts), step), 1e-6)
     else:
-        found = np.asarray(slopes(model, False, values, size, *data))
+        found = np.asarray(slopes(model, False, values, size, arrays))
     for column in range(k):
         agree(found[:, column], expected[:, column], 1e-6)
     # Each of the effect's own parameters matters.
@@ -242,7 +242,7 @@ def test_integrated_and_exact_responses_agree(key, driven):
     # Steps are exact for a torque that is linear within them, but not for an imposed motion.
     rtol = 1e-9 if driven == "torque" else 1e-6
     agree(respond(model, values, drive), simulate(model, values, drive), rtol)
-    data = (np.abs(values), drive_arrays(drive), drive.refined(1))
+    data = (np.abs(values), drive_arrays(drive))
     expected = np.asarray(slopes(model, True, values, *data))
     agree(np.asarray(slopes(model, False, values, *data)), expected, rtol)
 

@@ -11,6 +11,7 @@ from identifiability.joint.effects import EFFECTS
 from identifiability.joint.effects.base import Motion
 from identifiability.joint.model import KBI
 from identifiability.joint.response import simulate
+from identifiability.joint.scheme import Scheme
 from identifiability.measurement.perturbations import Drive, Impulse, Sinusoid, imposed_motion
 
 TIME = np.linspace(0.0, 0.1, 101)
@@ -41,9 +42,9 @@ def values_of(model, K=K, B=B, I=I, **own):
     return model.vector(values)
 
 
-def response(key, drive, *, substeps=None, K=K, B=B, I=I, **own):
+def response(key, drive, *, scheme=None, K=K, B=B, I=I, **own):
     model = joint(key)
-    return simulate(model, values_of(model, K, B, I, **own), drive, substeps=substeps)
+    return simulate(model, values_of(model, K, B, I, **own), drive, scheme=scheme)
 
 
 def recorded(key, p, signal):
@@ -136,8 +137,11 @@ def test_motion_under_a_torque_is_that_of_the_equation(key):
         return [v, (applied(t) - K * q - B * v - torque(q, v, z)) / I, *rates(q, v, z)]
 
     expected = by_ode(system, np.zeros(2 + n), TIME)[0]
-    substeps = None if joint(key).linear else 4
-    agree(response(key, SINUSOID, substeps=substeps, **own), expected, 1e-6)
+    agree(
+        response(key, SINUSOID, scheme=None if joint(key).linear else Scheme(4), **own),
+        expected,
+        1e-6,
+    )
     # The equation is not that of the joint alone.
     assert np.max(np.abs(simulate(KBI(), (K, B, I), SINUSOID) - expected)) > 0.003
 
@@ -153,8 +157,7 @@ def test_torque_of_an_imposed_angle_is_that_of_the_equation(key):
     alone = K * q + B * v + I * a
     expected = alone + [torque(*now) for now in zip(q, v, states.T, strict=True)]
     drive = imposed_motion(TIME, angle(TIME))
-    substeps = None if joint(key).linear else 4
-    agree(response(key, drive, substeps=substeps, **own), expected, 1e-6)
+    agree(response(key, drive, **own), expected, 1e-6)
     assert np.max(np.abs(expected - alone)) > 0.1
 
 
@@ -193,18 +196,18 @@ def test_a_linear_tendon_has_the_form_of_a_maxwell_branch():
 
 def test_friction_while_sliding_is_constant():
     for speed in (-3.0, -1.0, 1.0, 3.0):
-        found = response("coulomb_friction", ramp(speed), substeps=1, torque=0.7, breakaway=0.5)
+        found = response("coulomb_friction", ramp(speed), torque=0.7, breakaway=0.5)
         agree(found - K * speed * TIME - B * speed, np.full(TIME.size, np.sign(speed) * 0.7), 1e-9)
     # Where it breaks away it is larger: at 0.1 rad/s by breakaway/e.
     own = {"torque": 0.7, "velocity": 0.002, "breakaway": 0.5}
-    found = response("coulomb_friction", ramp(0.1), substeps=1, K=0.0, B=0.0, **own)
+    found = response("coulomb_friction", ramp(0.1), K=0.0, B=0.0, **own)
     agree(found, np.full(TIME.size, 0.7 * (1 + 0.5 / np.e)), 1e-9)
 
 
 def test_friction_dissipates_the_work_of_a_constant_torque():
     drive = imposed_motion(TIME, THERE_AND_BACK(TIME))
     own = {"torque": 0.7, "velocity": 0.002, "breakaway": 0.0}
-    torque = response("coulomb_friction", drive, substeps=1, K=0.0, B=0.0, I=1e-12, **own)
+    torque = response("coulomb_friction", drive, K=0.0, B=0.0, I=1e-12, **own)
     power = torque * THERE_AND_BACK.deriv()(TIME)
     assert np.all(power >= -1e-9)
     np.testing.assert_allclose(np.trapezoid(power, TIME), 0.7 * 2 * 0.05, rtol=2e-3)
@@ -213,7 +216,7 @@ def test_friction_dissipates_the_work_of_a_constant_torque():
 def test_hill_relation_has_its_known_values():
     def torque(velocity, asymmetry):
         own = {"strength": 10.0, "max_velocity": 5.0, "asymmetry": asymmetry}
-        return response("hill_force_velocity", ramp(velocity), substeps=1, K=0.0, B=0.0, **own)[0]
+        return response("hill_force_velocity", ramp(velocity), K=0.0, B=0.0, **own)[0]
 
     # A single muscle: no force left at its fastest shortening, 1.4 times its force far beyond.
     np.testing.assert_allclose(torque(-5.0, 1.0), -10.0, rtol=1e-9)
@@ -233,7 +236,7 @@ def test_short_range_stiffness_stretches_then_yields():
     # Yielding in proportion to the stretch has a closed form.
     own = {"stiffness": 100.0, "range": 0.02, "sharpness": 1.0, "renewal": 0.0}
     for speed in (-2.0, 2.0):
-        found = response("short_range_stiffness", ramp(speed), substeps=4, K=0.0, B=0.0, **own)
+        found = response("short_range_stiffness", ramp(speed), K=0.0, B=0.0, **own)
         moved = np.abs(speed) * TIME
         expected = np.sign(speed) * 100 * 0.02 * (1 - np.exp(-moved / 0.02))
         agree(found, expected, 1e-6)
@@ -244,7 +247,6 @@ def test_short_range_stiffness_stretches_then_yields():
     found = response(
         "short_range_stiffness",
         imposed_motion(TIME, small),
-        substeps=1,
         K=0.0,
         B=0.0,
         I=1e-9,
@@ -268,7 +270,7 @@ def imposed_step(size, back=None):
 def reflex_torque(drive, **own):
     plain = {"asymmetry": 0.0, "threshold": 0.0, "off_ratio": 1.0, "damping_ratio": 1.0}
     gains = GAINS | plain | own
-    return response("stretch_reflex", drive, substeps=4, K=0.0, B=0.0, **gains)
+    return response("stretch_reflex", drive, K=0.0, B=0.0, **gains)
 
 
 def second_order(time, tau):
@@ -341,10 +343,10 @@ def test_motion_with_a_reflex_is_that_of_the_delay_equation():
         return [x[1], torque / I, *muscles]
 
     expected = method_of_steps(rates, np.zeros(6), TIME, 0.02, rtol=1e-9)[0]
-    found = response("stretch_reflex", SINUSOID, substeps=4, **GAINS, **refined)
+    found = response("stretch_reflex", SINUSOID, **GAINS, **refined)
     # Its corners fall inside steps.
     agree(found, expected, 1e-5)
-    assert np.max(np.abs(response("stretch_reflex", SINUSOID, substeps=4, **GAINS) - found)) > 1e-3
+    assert np.max(np.abs(response("stretch_reflex", SINUSOID, **GAINS) - found)) > 1e-3
 
 
 # The nonlinear tendon
@@ -384,7 +386,7 @@ def test_without_hardening_the_nonlinear_tendon_is_linear():
     expected = response("series_tendon", SINUSOID, stiffness=120.0)
     for asymmetry in (0.0, 1.0):
         own = {"stiffness": 120.0, "hardening": 0.0, "asymmetry": asymmetry}
-        agree(response("nonlinear_tendon", SINUSOID, substeps=4, **own), expected, 1e-6)
+        agree(response("nonlinear_tendon", SINUSOID, **own), expected, 1e-6)
 
 
 def test_hill_muscle_with_a_nonlinear_tendon_carries_its_tension():
@@ -408,7 +410,7 @@ def test_hill_muscle_with_a_nonlinear_tendon_carries_its_tension():
         return [v, (applied(t) - tension) / I, w]
 
     expected = by_ode(rates, np.zeros(3), TIME, rtol=1e-9)[0]
-    found = simulate(model, np.array([K, damping, I, *own]), SINUSOID, substeps=4)
+    found = simulate(model, np.array([K, damping, I, *own]), SINUSOID)
     agree(found, expected, 1e-6)
 
 
@@ -424,7 +426,7 @@ def test_short_range_stiffness_with_a_tendon_sees_the_muscles_motion():
 
     expected = by_ode(rates, np.zeros(4), TIME)[0]
     values = np.array([K, B, I, 120.0, 100.0, 0.03, 1.0, 20.0])
-    agree(simulate(model, values, SINUSOID, substeps=4), expected, 1e-6)
+    agree(simulate(model, values, SINUSOID), expected, 1e-6)
 
 
 # Sensors

@@ -18,7 +18,7 @@ from identifiability.investigation.rules import Rules
 from identifiability.investigation.search.equivalence import comes_near, could_be
 from identifiability.investigation.search.fitter import Fitter
 from identifiability.investigation.search.gate import Gate, Ranked
-from identifiability.investigation.search.ranking import Ranker, silent
+from identifiability.investigation.search.ranking import Ranker
 from identifiability.investigation.search.rivals import Rivals
 from identifiability.investigation.session import Investigation
 from identifiability.investigation.split import Split, gather, owners
@@ -37,6 +37,7 @@ from identifiability.joint.parameters import Parameter
 from identifiability.joint.response import simulate
 from identifiability.measurement.perturbations import SampledTorque
 from identifiability.measurement.trials import Trial
+from identifiability.progress import silent
 
 
 class LateSpring(Effect):
@@ -585,6 +586,7 @@ def test_the_command_finds_a_hidden_effect(tmp_path, capsys):
     plain = json.loads((out / "investigation.json").read_text())
     assert plain["schema"] == 1
     assert {"effects", "error_fit", "error_held_out", "noise_floor"} <= set(plain["baseline"])
+    assert plain["failures"] == {}
     verdict = plain["verdict"]
     assert outcome_of(case.kind, case.truth, verdict["kind"], verdict["equivalence_sets"]) in (
         "right",

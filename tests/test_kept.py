@@ -11,11 +11,11 @@ from identifiability.inference import fitting
 from identifiability.investigation.fits import bench as workbench
 from identifiability.investigation.fits import kept
 from identifiability.investigation.fits.bench import Workbench
-from identifiability.investigation.fits.kept import KeepingWorkbench
+from identifiability.investigation.fits.kept import OnDisk
 from identifiability.investigation.investigate import investigate
 from identifiability.investigation.record import investigation_record
 from identifiability.investigation.split import gather
-from identifiability.joint.effects import EFFECTS, SeriesTendon
+from identifiability.joint.effects import EFFECTS, CubicStiffness, SeriesTendon
 from identifiability.joint.model import KBI
 
 MODEL = KBI() + SeriesTendon()
@@ -56,9 +56,9 @@ def assert_same(one, two):
 def test_a_kept_fit_is_read_as_it_was(tmp_path, split, fits, held):
     split = split if held else replace(split, held_out=())
     plain = Workbench(split).fit(MODEL, [VALUES])
-    first = KeepingWorkbench(split, folder=tmp_path).fit(MODEL, [VALUES])
+    first = Workbench(split, kept=OnDisk(tmp_path)).fit(MODEL, [VALUES])
     assert len(fits) == 2
-    again = KeepingWorkbench(split, folder=tmp_path).fit(MODEL, [VALUES])
+    again = Workbench(split, kept=OnDisk(tmp_path)).fit(MODEL, [VALUES])
     assert len(fits) == 2
     assert_same(plain, first)
     assert_same(plain, again)
@@ -66,7 +66,7 @@ def test_a_kept_fit_is_read_as_it_was(tmp_path, split, fits, held):
 
 def test_another_question_is_another_fit(tmp_path, split, fits):
     def ask(trials_=split, bounds=None, model=MODEL, start=VALUES, **options):
-        bench = KeepingWorkbench(trials_, bounds or {}, folder=tmp_path)
+        bench = Workbench(trials_, bounds or {}, OnDisk(tmp_path))
         return bench.fit(model, [start], **options)
 
     ask()
@@ -80,19 +80,51 @@ def test_another_question_is_another_fit(tmp_path, split, fits):
 
 
 def test_a_fit_of_other_code_is_not_read(tmp_path, split, fits, monkeypatch):
-    first = KeepingWorkbench(split, folder=tmp_path).fit(KBI(), [JOINT])
+    first = Workbench(split, kept=OnDisk(tmp_path)).fit(KBI(), [JOINT])
     with monkeypatch.context() as patched:
         patched.setattr(kept, "code_fingerprint", lambda module: "0" * 32)
-        assert kept.kept_fits(tmp_path) == []
-        KeepingWorkbench(split, folder=tmp_path).fit(KBI(), [JOINT])
+        assert OnDisk(tmp_path).files == []
+        Workbench(split, kept=OnDisk(tmp_path)).fit(KBI(), [JOINT])
         assert len(fits) == 2
-    assert_same(first, KeepingWorkbench(split, folder=tmp_path).fit(KBI(), [JOINT]))
+    assert_same(first, Workbench(split, kept=OnDisk(tmp_path)).fit(KBI(), [JOINT]))
     assert len(fits) == 2
-    assert len(kept.kept_fits(tmp_path)) == 1
+    assert len(OnDisk(tmp_path).files) == 1
+
+
+class Earlier(CubicStiffness):
+    """An effect of one's own."""
+
+    key = "own"
+
+    def torque(self, p, motion, states, delayed):
+        return p[0] * motion.angle**3
+
+
+class Later(Earlier):
+    """The same, its equation edited."""
+
+    def torque(self, p, motion, states, delayed):
+        return p[0] * motion.angle**5
+
+
+Earlier.__name__ = Later.__name__ = "Own"
+
+
+def test_an_effect_of_ones_own_with_another_equation_is_another_fit(tmp_path, split, fits):
+    def ask(effect):
+        Workbench(split, kept=OnDisk(tmp_path)).fit(
+            KBI() + effect(), [JOINT | {"own.coefficient": 1.0}], thorough=False
+        )
+
+    ask(Earlier)
+    ask(Earlier)
+    assert len(fits) == 1
+    ask(Later)
+    assert len(fits) == 2
 
 
 def test_a_damaged_file_is_written_anew(tmp_path, split, fits):
-    bench = KeepingWorkbench(split, folder=tmp_path)
+    bench = Workbench(split, kept=OnDisk(tmp_path))
     first = bench.fit(KBI(), [JOINT])
     (file,) = tmp_path.iterdir()
     file.write_bytes(file.read_bytes()[:100])
@@ -106,7 +138,7 @@ def test_a_fit_that_failed_is_tried_again(tmp_path, split, monkeypatch):
     def fails(*args, **options):
         raise InputError("no luck")
 
-    bench = KeepingWorkbench(split, folder=tmp_path)
+    bench = Workbench(split, kept=OnDisk(tmp_path))
     with monkeypatch.context() as patched:
         patched.setattr(workbench, "explore", fails)
         assert bench.fit(KBI(), [JOINT]).failure == "no luck"
@@ -129,11 +161,11 @@ def test_an_investigation_that_was_stopped_goes_on(tmp_path, fits):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        study(kept=tmp_path, progress=stop)
+        study(kept=OnDisk(tmp_path), progress=stop)
     n_stopped = len(fits) - n_whole
     n_kept = len(list(tmp_path.iterdir()))
     assert 3 <= n_kept <= n_stopped < n_whole
-    resumed = study(kept=tmp_path)
+    resumed = study(kept=OnDisk(tmp_path))
     assert len(fits) - n_whole - n_stopped == n_whole - n_kept
     records = [investigation_record(found, command="") for found in (whole, resumed)]
     assert records[0] == records[1]

@@ -7,7 +7,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from identifiability.cli.fit import record as record_of
 from identifiability.cli.main import main
 from identifiability.inference import recordings
 from identifiability.inference.fitting import explore, fit
@@ -19,6 +18,7 @@ from identifiability.inference.recordings import (
     whole,
     windows,
 )
+from identifiability.inference.records import fit_record as record_of
 from identifiability.inference.starts import plain_values
 from identifiability.investigation.investigate import Investigation
 from identifiability.joint.effects import CubicStiffness, SeriesTendon, StretchReflex

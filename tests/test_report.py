@@ -2,7 +2,7 @@
 
 import json
 import re
-from dataclasses import replace
+from dataclasses import asdict, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -23,8 +23,14 @@ from identifiability.investigation.wording.pinned import loose_sentence
 from identifiability.joint.effects import EFFECTS
 from identifiability.joint.model import KBI
 from identifiability.plots.investigation import error_text, ranking_figure, widths_figure
-from identifiability.report.investigation import _ranking_row, write_report
+from identifiability.report.investigation import (
+    _ranking_row,
+    investigation_text,
+    write_investigation,
+    write_report,
+)
 
+QUADRATIC = EFFECTS["quadratic_stiffness"].parameters
 SMALL = {k: EFFECTS[k] for k in ("quadratic_stiffness", "cubic_stiffness")}
 
 
@@ -207,6 +213,14 @@ def test_a_failed_candidate_is_shown_and_does_not_stop_the_rest(tmp_path):
     failures = [c for step in record["rankings"] for c in step["candidates"] if "failure" in c]
     assert next(c["effect"] for c in failures) == "explosive"
     json.dumps(record, allow_nan=False)
+    assert record["rules"] == asdict(Rules())
+    # A rival's curve can be drawn again: every value of its model is there.
+    rivals = [c for step in record["steps"] for c in step["in_its_place"] if "failure" not in c]
+    assert [r["effect"] for r in rivals] == ["quadratic_stiffness"]
+    assert set(rivals[0]["parameters"]) == {*JOINT, *rivals[0]["parameters"]}
+    assert all(f"quadratic_stiffness.{p.name}" in rivals[0]["parameters"] for p in QUADRATIC)
+    assert record["comparison"]
+    assert record["location"]
     figures = write_report(findings, record, tmp_path)
     page = (tmp_path / "report.html").read_text()
     assert "could not be drawn" not in page
@@ -225,6 +239,24 @@ def test_a_failed_candidate_is_shown_and_does_not_stop_the_rest(tmp_path):
     assert page.count("data:image/png;base64,") == len(figures)
     # Nothing is fetched from elsewhere.
     assert not re.search(r'(src|href)="(?!data:|#)', page)
+
+
+def test_a_part_that_fails_is_told_and_takes_no_other_with_it(tmp_path, monkeypatch):
+    def fails(*args):
+        raise ValueError("the trials are of no use")
+
+    monkeypatch.setattr("identifiability.investigation.session.compare", fails)
+    findings = investigate(trials(KBI(), JOINT), library=SMALL, most=0, with_widths=False)
+    assert findings.failures == {"comparison": "the trials are of no use"}
+    assert findings.warnings == ("comparison: the trials are of no use",)
+    assert findings.comparison is None
+    assert findings.location is not None
+    written = write_investigation(findings, tmp_path, command="")
+    assert "comparison.png" not in written
+    record = json.loads((tmp_path / "investigation.json").read_text())
+    assert record["failures"] == findings.failures
+    assert (tmp_path / "report.html").read_text().count("the trials are of no use") == 2
+    assert "the trials are of no use" in investigation_text(findings)
 
 
 def test_a_number_without_unit_keeps_its_digits(quiet_study):

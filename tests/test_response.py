@@ -29,6 +29,7 @@ from identifiability.joint.response import (
     exact_response,
     simulate,
 )
+from identifiability.joint.scheme import EXACT, Scheme
 from identifiability.measurement.noise import Noise
 from identifiability.measurement.perturbations import (
     PERTURBATIONS,
@@ -176,14 +177,14 @@ def test_integrator_agrees_with_exact_response(model, values, key):
         drive = imposed_motion(TIME, smooth_motion(TIME))
     else:
         drive = ALL_TORQUES[key].drive(TIME)
-    agree(simulate(model, values, drive, substeps=16), simulate(model, values, drive), 1e-9)
+    agree(simulate(model, values, drive, scheme=Scheme(16)), simulate(model, values, drive), 1e-9)
 
 
 def test_integrator_is_of_fourth_order():
     drive = Sinusoid().drive(TIME)
     exact = simulate(MSM, MSM_VALUES, drive)
     coarse, fine = (
-        np.max(np.abs(simulate(MSM, MSM_VALUES, drive, substeps=n) - exact)) for n in (1, 2)
+        np.max(np.abs(simulate(MSM, MSM_VALUES, drive, scheme=Scheme(n)) - exact)) for n in (1, 2)
     )
     assert 12 < coarse / fine < 20
 
@@ -232,15 +233,15 @@ def test_the_start_of_the_clock_does_not_matter():
     agree(later, at_zero, 1e-9)
 
 
-@pytest.mark.parametrize("substeps", [None, 1])
-def test_a_batch_equals_one_by_one(substeps):
+@pytest.mark.parametrize("scheme", [EXACT, Scheme(1)])
+def test_a_batch_equals_one_by_one(scheme):
     rng = np.random.default_rng(0)
     batch = MSM_VALUES * rng.uniform(0.2, 5, (2, 3, 4))
     drive = Step().drive(TIME)
-    found = simulate(MSM, batch, drive, substeps=substeps)
+    found = simulate(MSM, batch, drive, scheme=scheme)
     assert found.shape == (2, 3, TIME.size)
     for index in np.ndindex(2, 3):
-        agree(found[index], simulate(MSM, batch[index], drive, substeps=substeps), 1e-12)
+        agree(found[index], simulate(MSM, batch[index], drive, scheme=scheme), 1e-12)
 
 
 def test_wrong_shapes_are_refused():
@@ -319,7 +320,7 @@ def test_torque_of_a_held_angle_is_that_of_the_springs():
     K, _, _, K_SE = MSM_VALUES
     expected = np.full(TIME.size, 0.2 * K * K_SE / (K + K_SE))
     agree(simulate(MSM, MSM_VALUES, held), expected, 1e-10)
-    agree(simulate(MSM, MSM_VALUES, held, substeps=1), expected, 1e-10)
+    agree(simulate(MSM, MSM_VALUES, held, scheme=Scheme(1)), expected, 1e-10)
 
 
 @pytest.mark.parametrize(("model", "values"), [(KBI(), KBI_VALUES), (MSM, MSM_VALUES)])

@@ -49,7 +49,8 @@ def work(task: Task) -> dict[str, np.ndarray]:
     if task.deed == "object":
         return {"value": np.array([object()])}
     if task.deed == "environment":
-        return {"threads": np.array(os.environ["OMP_NUM_THREADS"])}
+        names = ("OMP_NUM_THREADS", "JAX_COMPILATION_CACHE_DIR")
+        return {name: np.array(os.environ[name]) for name in names}
     return {"value": np.array(task.number**2), "text": np.array(["ä", task.note])}
 
 
@@ -166,11 +167,17 @@ def test_a_limit_needs_processes_that_may_be_ended(threads):
         run({"a": Task(3)}, None, timeout_s=1.0, **threads)
 
 
-def test_workers_have_one_thread_and_the_parent_keeps_its_environment(monkeypatch):
+def test_workers_have_one_thread_and_one_cache_and_the_parent_keeps_its_environment(
+    monkeypatch, tmp_path
+):
     monkeypatch.setenv("OMP_NUM_THREADS", "5")
+    monkeypatch.delenv("JAX_COMPILATION_CACHE_DIR", raising=False)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.delenv("NPROC", raising=False)
     outcome = run({"a": Task(1, "environment")}, None)["a"]
-    assert outcome.arrays["threads"] == "1"
+    assert outcome.arrays["OMP_NUM_THREADS"] == "1"
+    assert outcome.arrays["JAX_COMPILATION_CACHE_DIR"] == str(tmp_path / "identifiability")
+    assert "JAX_COMPILATION_CACHE_DIR" not in os.environ
     assert os.environ["OMP_NUM_THREADS"] == "5"
     assert "NPROC" not in os.environ
 

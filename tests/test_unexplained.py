@@ -30,12 +30,7 @@ def left_of(model, values, seed=1, noise=3e-3, vary=0.0, drift=0.0):
     for i, (kind, size) in enumerate(DRIVES):
         torque = size * ((TIME > 0.05) & ((TIME <= 0.1) | (kind == "step")))
         theta = model.vector(values | {"K": values["K"] * (1 + vary * (-1) ** (i // 2))})
-        angle = simulate(
-            model,
-            theta,
-            SampledTorque(torque).drive(TIME),
-            substeps=None if model.linear else 2,
-        )
+        angle = simulate(model, theta, SampledTorque(torque).drive(TIME))
         size_of = np.sqrt(np.mean(angle**2))
         angle = angle + noise * size_of * rng.standard_normal(TIME.size)
         angle = angle + drift * size_of * rng.standard_normal() * TIME**2

@@ -109,6 +109,7 @@ def score(tier: str, spec: CaseSpec) -> Score:
             (key, rung.fitted.error, rung.held_out.error)
             for key, rung in zip(("", *(m.key for m in found.missing)), found.ladder, strict=True)
         ),
+        warnings=findings.warnings,
     )
 
 

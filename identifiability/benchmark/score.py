@@ -40,6 +40,8 @@ class Score:
     rungs : tuple of (str, float, float)
         Errors of the fitted and the held-out trials: of the baseline ("") and with every effect.
     failure : str
+    warnings : tuple of str
+        Parts of the investigation that could not be done, and what the trials did not allow.
     """
 
     name: str
@@ -56,6 +58,7 @@ class Score:
     seconds: float | None
     rungs: tuple[tuple[str, float, float], ...] = ()
     failure: str = ""
+    warnings: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
         """Plain record, for JSON."""
@@ -65,7 +68,9 @@ class Score:
     def from_dict(cls, plain: Mapping[str, Any]) -> Score:
         """Score from its plain record."""
         named, rungs = (tuple(tuple(s) for s in plain[key]) for key in ("named", "rungs"))
-        return cls(**{**plain, "truth": tuple(plain["truth"]), "named": named, "rungs": rungs})
+        truth, warnings = (tuple(plain.get(key, ())) for key in ("truth", "warnings"))
+        parts = {"truth": truth, "named": named, "rungs": rungs, "warnings": warnings}
+        return cls(**{**plain, **parts})
 
 
 def outcome_of(

@@ -1,8 +1,9 @@
-"""``identifiability benchmark``: the investigation judged on joints whose truth is known."""
+"""``identifiability benchmark``: investigation and solver judged where the truth is known."""
 
 from __future__ import annotations
 
 import argparse
+import sys
 from typing import Any
 
 from identifiability.cli.exits import PARTIAL, complain
@@ -19,12 +20,13 @@ def add_parser(commands: Any) -> None:
     """Add the subcommand."""
     parser = commands.add_parser(
         "benchmark",
-        help="judge the investigation on joints whose hidden effects are known",
-        description="Simulate joints with hidden effects by an independent simulator, investigate "
-        "each, and count what was found. An interrupted run goes on where it was when the same "
-        "command is typed again.",
+        help="judge the investigation on joints whose hidden effects are known, or the solver",
+        description="solver: integrate every non-linear effect at many sampling rates, and compare "
+        "with far finer steps. investigation: simulate joints with hidden effects by an "
+        "independent simulator, investigate each, and count what was found. An interrupted "
+        "run goes on where it was when the same command is typed again.",
     )
-    parser.add_argument("what", choices=("investigation",), help="what is judged")
+    parser.add_argument("what", choices=("investigation", "solver"), help="what is judged")
     parser.add_argument(
         "--tier",
         nargs="+",
@@ -46,6 +48,29 @@ def add_parser(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the subcommand."""
+    return _run_solver(options) if options.what == "solver" else _run_investigation(options)
+
+
+def _run_solver(options: argparse.Namespace) -> int:
+    from identifiability.benchmark.solver import measure, questions, record
+    from identifiability.files import output_folder, write_json, write_text
+    from identifiability.report.solver import solver_page
+
+    out = output_folder(options.out)
+    asked = list(questions())
+    rows = []
+    for i, question in enumerate(asked):
+        print(f"[{i + 1}/{len(asked)}] {' '.join(map(str, question))}", file=sys.stderr, flush=True)
+        rows.append(measure(*question))
+    found = record(rows)
+    write_json(out / "solver.json", found)
+    write_text(out / "solver.md", solver_page(found))
+    print(f"{sum(row.passes for row in rows)} of {len(rows)} rows below {found['allowed']:g}")
+    print(f"\nwritten: {out}/solver.md, solver.json")
+    return 0 if all(row.passes for row in rows) else PARTIAL
+
+
+def _run_investigation(options: argparse.Namespace) -> int:
     check_workers(options)
     for seed in options.seed:
         check_seed(seed)

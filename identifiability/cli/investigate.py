@@ -65,7 +65,7 @@ def add_parser(commands: Any) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the subcommand."""
     from identifiability.files import output_folder
-    from identifiability.investigation.fits.kept import kept_fits
+    from identifiability.investigation.fits.kept import OnDisk
     from identifiability.investigation.investigate import investigate
     from identifiability.measurement.readers import readable_files
     from identifiability.report.investigation import investigation_text, write_investigation
@@ -84,7 +84,7 @@ def run(options: argparse.Namespace) -> int:
     limits = _limits(options.limits, [*trials, *held_out])
     out = output_folder(options.out)
     fits = out / "fits"
-    if n_fits := len(kept_fits(fits)):
+    if n_fits := len(OnDisk(fits).files):
         print(f"{n_fits} fits of a run that was stopped are not done again", file=sys.stderr)
     findings = investigate(
         trials,
@@ -95,7 +95,7 @@ def run(options: argparse.Namespace) -> int:
         most=options.most,
         with_widths=not options.no_widths,
         seed=options.seed,
-        kept=fits,
+        kept=OnDisk(fits),
         progress=_clock(),
     )
     written = write_investigation(findings, out, command=_command())

@@ -124,16 +124,20 @@ def fit(problem: Problem, starts: np.ndarray, *, polish: bool = True) -> Fit:
     return _finish(problem, values, cost, costs, reached, "least squares")
 
 
-def explore(problem: Problem, starts: np.ndarray, *, evaluations: int) -> Fit:
+def explore(problem: Problem, starts: np.ndarray, *, evaluations: int, further: int = 0) -> Fit:
     """Fit by bounded least squares with a limited number of evaluations from every start.
+
+    A stiffness whose effect vanishes as it grows without bound is sought by its inverse, in which
+    its ridge with K and B is nearly straight.
 
     Parameters
     ----------
     problem : Problem
-        With noise such that its cost is a log likelihood: differences far below 1 do not matter.
     starts : array, shape (n_starts, n_free)
     evaluations : int
         Most evaluations from one start.
+    further : int
+        Most evaluations more for each of the best two ends that are no optimum yet.
 
     Returns
     -------
@@ -145,31 +149,49 @@ def explore(problem: Problem, starts: np.ndarray, *, evaluations: int) -> Fit:
         Where no start leads to a finite response.
     """
     starts = inside(problem, np.atleast_2d(starts))
+    nulls = [problem.model.parameters[name].null for name in problem.names]
+    endless = np.array([null is not None and not np.isfinite(null) for null in nulls])
+    stiff = endless & (problem.lower > 0)
 
-    def descend(start: np.ndarray) -> tuple[float, np.ndarray, str]:
+    def turned(x: np.ndarray) -> np.ndarray:
+        return np.where(stiff, 1 / np.where(stiff, x, 1.0), x)
+
+    ends = np.sort([turned(problem.lower), turned(problem.upper)], axis=0)
+
+    def descend(
+        start: np.ndarray, most: int = evaluations, tight: float = 1.0
+    ) -> tuple[float, np.ndarray, str, bool]:
+        def jacobian(y: np.ndarray) -> np.ndarray:
+            return problem.jacobian(turned(y)) * np.where(stiff, -(turned(y) ** 2), 1.0)
+
         try:
             result = scipy.optimize.least_squares(
-                problem.residuals,
-                start,
-                jac=problem.jacobian,
-                bounds=(problem.lower, problem.upper),
+                lambda y: problem.residuals(turned(y)),
+                np.clip(turned(start), *ends),
+                jac=jacobian,
+                bounds=ends,
                 x_scale="jac",
-                ftol=1e-6,
-                xtol=1e-7,
+                ftol=1e-6 * tight,
+                xtol=1e-7 * tight,
                 gtol=1e-10,
-                max_nfev=evaluations,
+                max_nfev=most,
             )
         except (ValueError, np.linalg.LinAlgError) as error:
-            return np.inf, start, str(error)
-        return float(result.cost), result.x, ""
+            return np.inf, start, str(error), True
+        return float(result.cost), turned(result.x), "", result.status > 0
 
     problem.residuals(starts[0])  # compiled once, before the threads ask for it
     with ThreadPoolExecutor(_THREADS) as pool:
-        ends = list(pool.map(descend, starts))
-    costs, reached = np.array([e[0] for e in ends]), np.array([e[1] for e in ends])
+        reports = list(pool.map(descend, starts))
+        order = np.argsort([r[0] for r in reports], kind="stable")
+        undone = [int(i) for i in order[:2] if not reports[i][3]] if further else []
+        more = pool.map(lambda i: descend(reports[i][1], further, 1e-2), undone)
+        for i, report in zip(undone, list(more), strict=True):
+            reports[i] = report if report[0] <= reports[i][0] else reports[i]
+    costs, reached = np.array([r[0] for r in reports]), np.array([r[1] for r in reports])
     best = int(np.argmin(costs))
     if not np.isfinite(costs[best]):
-        failure = next(e[2] for e in reversed(ends) if e[2])
+        failure = next(r[2] for r in reversed(reports) if r[2])
         raise InputError(f"no start gave a finite response ({failure}); check data and bounds")
     values = _onto_bounds(problem, reached[best])
     return _finish(problem, values, float(costs[best]), costs, reached, "least squares")

@@ -310,7 +310,12 @@ class Problem:
     @cached_property
     def integration(self) -> Scheme:
         """How the response is computed."""
-        return self.scheme or Scheme.for_model(self.model, self.template, self.interval)
+        return self.scheme or self.suited(self.template)
+
+    def suited(self, theta: ArrayLike) -> Scheme:
+        """Scheme that a full parameter vector of the model asks for at these observations."""
+        imposed = self.observations[0].drive.imposed
+        return Scheme.for_model(self.model, theta, self.interval, imposed)
 
     @property
     def interval(self) -> float:
@@ -388,6 +393,48 @@ class Problem:
         other = self.with_scheme(self.integration.halved)
         other.__dict__["program"] = self.program
         return other
+
+    def solver_error(self, x: np.ndarray) -> float:
+        """Error of the integration at a point: what half the step changes.
+
+        Returns
+        -------
+        float
+            Mean square over the compared samples, in units of the noise's variance.
+        """
+        if self.integration.exact:
+            return 0.0
+        moved = self.halved().residuals(x) - self.residuals(x)
+        return float(moved @ moved) / self.n_samples
+
+    def resolved(self, x: np.ndarray, share: float = 0.1) -> Problem:
+        """Return the same problem in steps that suit a point: those that it has, or finer ones.
+
+        Parameters
+        ----------
+        x : array, shape (n_free,)
+            Such as the optimum, which may be faster than the nominal parameters.
+        share : float
+            `solver_error` that is allowed.
+
+        Raises
+        ------
+        InputError
+            Where the model is too fast for its samples at this point.
+        """
+        suited = self.suited(self.complete(x))
+        problem = self
+        if suited.is_finer_than(self.integration):
+            problem = self.with_scheme(suited)
+        while (error := problem.solver_error(x)) > share:
+            scheme = problem.integration
+            if scheme.finest:
+                raise InputError(
+                    f"found parameters too fast for samples {self.interval:g} s apart, which "
+                    f"{scheme} do not resolve; give narrower bounds or sample more often"
+                )
+            problem = problem.with_scheme(scheme.improved(error / share))
+        return problem
 
     def complete(self, x: np.ndarray) -> np.ndarray:
         """Parameter vectors of the model, shape (..., n_parameters), from free parameters."""

@@ -202,27 +202,17 @@ def best_fit(problem: Problem, guess: np.ndarray, seed: int) -> tuple[Problem, F
     points = np.array([problem.free_vector(s) for s in starting_values(model, known)])
     while True:
         best = explore(problem, points, evaluations=_EVALUATIONS)
-        wanted = _wanted(problem, best)
-        if not wanted.is_finer_than(problem.integration):
+        finer = _resolved(problem, best)
+        if not finer.integration.is_finer_than(problem.integration):
             return problem, best
-        if problem.integration.finest:
-            raise InputError(
-                f"{model!r} became too fast for samples {1e3 * problem.interval:g} ms apart: "
-                f"{problem.integration} do not resolve it; give bounds, or data sampled faster"
-            )
-        problem, points = problem.with_scheme(wanted), best.values[None]
+        problem, points = finer, best.values[None]
 
 
-def _wanted(problem: Problem, best: Fit) -> Scheme:
-    """Scheme that a fit asks for: by its values, and by what half the step changes."""
-    here = problem.integration
-    asked = Scheme.for_model(problem.model, problem.complete(best.values), problem.interval)
-    if here.exact or asked.is_finer_than(here):
-        return asked
-    change = problem.halved().residuals(best.values) - problem.residuals(best.values)
-    n, error = len(problem.observations), float(change @ change)
+def _resolved(problem: Problem, best: Fit) -> Problem:
+    """The problem in steps whose error is small beside that of the fit."""
+    n = len(problem.observations)
     allowed = np.clip(_SOLVER_SHARE * 2 * best.cost / n, _SOLVER_LEAST, _SOLVER_MOST)
-    return here.finer if error / n > allowed else here
+    return problem.resolved(best.values, float(allowed) * n / problem.n_samples)
 
 
 @dataclass(frozen=True)

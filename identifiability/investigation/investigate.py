@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from pathlib import Path
 from typing import TypeVar
 
 import numpy as np
@@ -12,6 +11,7 @@ from threadpoolctl import threadpool_limits
 
 from identifiability.errors import InputError
 from identifiability.investigation.findings import Findings
+from identifiability.investigation.fits.kept import Kept
 from identifiability.investigation.next_experiment import Limits
 from identifiability.investigation.rules import Rules
 from identifiability.investigation.session import Investigation
@@ -37,7 +37,7 @@ def investigate(
     most: int | None = None,
     with_widths: bool = True,
     seed: int = 1,
-    kept: Path | None = None,
+    kept: Kept | None = None,
     progress: Progress = silent,
 ) -> Findings:
     """Find out what a joint model misses in recorded trials.

@@ -16,6 +16,7 @@ from identifiability.investigation.next_experiment import NextExperiment
 from identifiability.investigation.search.gate import Ranked
 from identifiability.investigation.unexplained.account import Unexplained
 from identifiability.investigation.verdict.pinned import not_pinned_down
+from identifiability.investigation.where.record import comparison_record, location_record
 from identifiability.investigation.wording import verdict as wording
 from identifiability.investigation.wording.next_experiment import next_experiment_sentence
 from identifiability.investigation.wording.unexplained import unexplained_sentence
@@ -89,6 +90,10 @@ def investigation_record(findings: Findings, *, command: str = "") -> dict[str, 
             "descriptions": [_ranked(r) for r in found.descriptions],
             "fits": found.n_fits,
             "ended": found.ended,
+            "comparison": None
+            if findings.comparison is None
+            else comparison_record(findings.comparison),
+            "location": None if findings.location is None else location_record(findings.location),
             "unexplained": {
                 "baseline": _unexplained(findings.unexplained_before),
                 "final": _unexplained(findings.unexplained_after),
@@ -137,11 +142,14 @@ def _next_experiment(following: NextExperiment | None) -> dict[str, Any] | None:
     }
 
 
-def _errors(candidate: Candidate) -> dict[str, float | None]:
+def _errors(candidate: Candidate) -> dict[str, float | str | None]:
+    """Errors of a fit, and how its model was integrated, with the error E of that."""
     held = candidate.held_out
     return {
         "error_fit": candidate.fitted.error,
         "error_held_out": held.error if held.by_trial else None,
+        "integration": str(candidate.scheme or ""),
+        "solver_error": candidate.solver_error,
     }
 
 
@@ -166,8 +174,6 @@ def _ranked(ranked: Ranked) -> dict[str, Any]:
         "fitted_to_the_end": candidate.thorough,
         "starts_agreeing": candidate.n_agreeing,
         "starts": candidate.n_starts,
-        "integration": str(candidate.scheme),
-        "solver_error": candidate.solver_error,
     }
 
 

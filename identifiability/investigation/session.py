@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from functools import cached_property
-from pathlib import Path
 
 from identifiability.inference.widths import Widths
 from identifiability.investigation.fits.baseline import (
@@ -14,7 +13,7 @@ from identifiability.investigation.fits.baseline import (
 )
 from identifiability.investigation.fits.bench import Workbench
 from identifiability.investigation.fits.candidate import Candidate
-from identifiability.investigation.fits.kept import KeepingWorkbench
+from identifiability.investigation.fits.kept import InMemory, Kept
 from identifiability.investigation.fits.widths import parameter_widths
 from identifiability.investigation.next_experiment import (
     Limits,
@@ -66,9 +65,9 @@ class Investigation:
         one, or that above which the angle is but noise (`noise_cutoff`).
     rules : Rules, optional
         Conventions that decisions go by.
-    kept : Path, optional
-        Folder in which every fit is kept as soon as it is done; the same investigation, run again,
-        reads them (see `KeepingWorkbench`).
+    kept : Kept, optional
+        Where every fit is kept as soon as it is done; with ``OnDisk(folder)`` the same
+        investigation, run again, reads them.
     progress : callable
         Told ``(what, done, total)``.
 
@@ -97,19 +96,14 @@ class Investigation:
         bounds: Mapping[str, tuple[float, float]] | None = None,
         lowpass_hz: Lowpass = "auto",
         rules: Rules | None = None,
-        kept: Path | None = None,
+        kept: Kept | None = None,
         progress: Progress = silent,
     ) -> None:
         self.model = KBI() if model is None else model
         self.library = dict(EFFECTS if library is None else library)
         self.progress = progress
         split = gather(trials, held_out, lowpass_hz=lowpass_hz, rules=rules)
-        others = dict(bounds or {})
-        self.bench = (
-            Workbench(split, others)
-            if kept is None
-            else KeepingWorkbench(split, others, folder=kept)
-        )
+        self.bench = Workbench(split, dict(bounds or {}), InMemory() if kept is None else kept)
         self.remarks: tuple[str, ...] = ()
         if leads_are_motion(self.bench):
             self.bench, self.remarks = without_leads(self.bench), (_MOVING,)

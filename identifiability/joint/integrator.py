@@ -44,7 +44,7 @@ def integrate(
     model: Model,
     theta: ArrayLike,
     arrays: tuple[ArrayLike, ...],
-    substeps: ArrayLike,
+    substeps: int | Array,
     order: int = 4,
     room: int | None = None,
 ) -> Array:
@@ -74,7 +74,7 @@ def integrate(
     interval, generator, readout, states, impulses = (jnp.asarray(a) for a in arrays)
     rows = 0
     if model.delayed and readout.shape[0] == 1:
-        rows = (states.shape[0] - 1) * (int(jnp.asarray(substeps)) if room is None else room)
+        rows = (states.shape[0] - 1) * (int(substeps) if room is None else room)
     drive = _Drive(interval / substeps, interval, jnp.asarray(substeps), generator, readout, states)
     if readout.shape[0] == 1:
         response = _torque_driven(model, theta, drive, impulses, rows, order)
@@ -99,8 +99,8 @@ class _Drive:
         self.readout, self.states = readout, states
         self.n_samples = states.shape[0]
         self.n_steps = (self.n_samples - 1) * substeps
-        self._half = matrix_exponential(generator * (0.5 * step))
-        self._whole = matrix_exponential(generator * interval)
+        self._half = _exponential(generator * (0.5 * step))
+        self._whole = _exponential(generator * interval)
 
     def within(self, index: Array, before: Array) -> tuple[Array, Array, Array, Array]:
         """Sample that a step belongs to, whether it begins there, signals, and where they end.
@@ -120,6 +120,11 @@ class _Drive:
     def ends(self) -> Array:
         """Signals at the end of each interval, before the jump there, shape (n - 1, q)."""
         return self.states[:-1] @ (self.readout @ self._whole).T
+
+
+def _exponential(generator: Array) -> Array:
+    # Impulses alone need no generator.
+    return matrix_exponential(generator) if generator.size else generator
 
 
 def _row(rows: Array, index: Array) -> Array:
@@ -235,7 +240,7 @@ def _torque_driven(
     )
     # A start that depends on data and parameters in form, as its successors do in fact, spares the
     # tracer a second pass through the loop.
-    formal = 0.0 * (drive.states[0, 0] + jnp.asarray(theta)[0])
+    formal = 0.0 * (jnp.sum(drive.states[0]) + jnp.asarray(theta)[0])
     start = jax.tree.map(lambda array: array + formal, start)
     return jax.lax.fori_loop(0, drive.n_steps, advance, start).angles
 

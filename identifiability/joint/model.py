@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -22,6 +22,9 @@ KBI_PARAMETERS = (
     Parameter("B", "B", "Nms/rad", 1.0, 0.0, 50.0, "damping"),
     Parameter("I", "I", "kg m²", 0.1, 0.005, 1.0, "inertia"),
 )
+
+Imposed = Literal["torque", "angle"]
+"""What is imposed on a joint; the other is its response."""
 
 _NEWTON_STEPS = 6
 
@@ -58,6 +61,13 @@ class Model:
                 f"only effects can be added to a joint model, found {found}; "
                 "write for example KBI() + SeriesTendon()"
             )
+        try:
+            hash(other)
+        except TypeError:
+            raise InputError(
+                f"found a field of {type(other).__name__} that can change, expected numbers, words "
+                "and tuples; write @dataclass(frozen=True) over an effect that is a dataclass"
+            ) from None
         if other.key in self.effect_keys:
             raise InputError(f"the model already has the effect '{other.key}'; add it once")
         # The order of addition must not change names or numbers, so effects are kept sorted.
@@ -160,10 +170,17 @@ class Model:
         """Whether some effect sees the motion that was a delay ago."""
         return any(delay is not None for delay in self.delays(self.nominal))
 
-    def pace(self, values: Mapping[str, float]) -> float:
-        """Fastest rate [1/s] of what is not linear in the joint; see `Effect.pace`."""
+    def pace(self, values: Mapping[str, float], imposed: Imposed = "torque") -> float:
+        """Fastest rate [1/s] of what is integrated and not linear; see `Effect.pace`.
+
+        Under an imposed angle only the internal states are integrated.
+        """
+        inner = [
+            e for e in self.effects if e.has_memory or (e.place == "muscle" and self._has_tendon)
+        ]
         try:
-            paces = [abs(effect.pace(values)) for effect in self.effects]
+            chosen = self.effects if imposed == "torque" else inner
+            paces = [abs(effect.pace(values)) for effect in chosen]
         except (ArithmeticError, ValueError):
             return math.inf  # of parameters that no joint has
         return float(np.nan_to_num(max(paces, default=0.0), nan=np.inf))

@@ -34,6 +34,8 @@ class Parameter:
     plain : float or None
         Value that gives the effect its plain form, for a parameter that only refines it; ``None``
         for a parameter that the effect cannot do without.
+    is_delay : bool
+        Whether it is a delay, along which a fit's cost is wavy: fits go over its whole range.
     """
 
     name: str
@@ -45,6 +47,7 @@ class Parameter:
     description: str
     null: float | None = None
     plain: float | None = None
+    is_delay: bool = False
 
     def __post_init__(self) -> None:
         if not self.lower < self.upper:

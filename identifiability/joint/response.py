@@ -20,7 +20,7 @@ from identifiability.joint.exponentials import matrix_exponential
 from identifiability.joint.integrator import integrate
 from identifiability.joint.model import Model
 from identifiability.joint.programs import make_room
-from identifiability.joint.scheme import EXACT, Scheme
+from identifiability.joint.scheme import EXACT, MOST_SUBSTEPS, Scheme
 from identifiability.measurement.perturbations import Drive
 
 _CONVERGED = 1e-7  # E between two responses, of which the finer is taken as converged
@@ -87,9 +87,10 @@ def _converged(model: Model, thetas: np.ndarray, drive: Drive) -> np.ndarray:
     """Responses that half the step leaves as they are."""
     if model.linear or not len(thetas):
         return _by(EXACT, model, thetas, drive)
-    wanted = [Scheme.for_model(model, theta, drive.interval) for theta in thetas]
+    wanted = [Scheme.for_model(model, theta, drive.interval, drive.imposed) for theta in thetas]
     # The fourth order, so that the finer of two responses is far better than their difference.
-    scheme = Scheme(max(s.substeps // (4 if s.order == 2 else 1) for s in wanted) or 1)
+    start = max(s.substeps // (4 if s.order == 2 else 1) for s in wanted)
+    scheme = Scheme(min(max(start, 1), MOST_SUBSTEPS // 2))
     coarse = _by(scheme, model, thetas, drive)
     while not scheme.finest:
         scheme = scheme.halved

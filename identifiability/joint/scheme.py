@@ -10,7 +10,7 @@ import numpy as np
 from jax.typing import ArrayLike
 
 from identifiability.errors import InputError
-from identifiability.joint.model import Model
+from identifiability.joint.model import Imposed, Model
 
 _SECOND, _FOURTH = 0.1, 0.75
 """Radians or e-folds of the fastest change in one step, at which dry friction, the least smooth of
@@ -45,7 +45,9 @@ class Scheme:
             )
 
     @classmethod
-    def for_model(cls, model: Model, theta: ArrayLike, interval: float) -> Scheme:
+    def for_model(
+        cls, model: Model, theta: ArrayLike, interval: float, imposed: Imposed = "torque"
+    ) -> Scheme:
         """Scheme that suits a model: exact if it is linear, else as its fastest effect asks.
 
         The number of steps is a power of two.
@@ -56,11 +58,13 @@ class Scheme:
         theta : array, shape (n_parameters,)
         interval : float
             Sampling interval [s].
+        imposed : {"torque", "angle"}
+            Under an imposed angle only effects with states of their own need steps.
         """
         if model.linear:
             return EXACT
         values = dict(zip(model.parameter_names, map(float, np.asarray(theta)), strict=True))
-        turned = model.pace(values) * interval
+        turned = model.pace(values, imposed) * interval
         if turned <= _SECOND * _MOST_SECOND:
             return cls(_power_of_two(turned / _SECOND), 2)
         return cls(min(_power_of_two(turned / _FOURTH), MOST_SUBSTEPS), 4)
@@ -75,12 +79,17 @@ class Scheme:
         """The same with steps half as long: what tells the error of this one."""
         return replace(self, substeps=2 * self.substeps)
 
-    @property
-    def finer(self) -> Scheme:
-        """The next better scheme at about twice the work."""
-        if self.order == 2 and self.substeps >= _MOST_SECOND:
-            return Scheme(max(self.substeps // 2, 1), 4)
-        return self.halved
+    def improved(self, ratio: float) -> Scheme:
+        """The scheme whose error E (a square) should be so many times smaller; at least halved.
+
+        Where the steps are far too long their error says little, so what is found is to be checked
+        again.
+        """
+        factor = max(2.0, ratio ** (0.5 / self.order))
+        substeps = _power_of_two(self.substeps * factor)
+        if self.order == 2 and substeps > _MOST_SECOND:
+            return Scheme(max(substeps // 4, 1), 4)
+        return Scheme(min(substeps, MOST_SUBSTEPS), self.order)
 
     @property
     def finest(self) -> bool:

@@ -46,6 +46,11 @@ class Drive:
     impulses: np.ndarray
 
     @property
+    def imposed(self) -> Literal["torque", "angle"]:
+        """What is imposed."""
+        return "torque" if len(self.readout) == 1 else "angle"
+
+    @property
     def signals(self) -> np.ndarray:
         """Imposed signals at the samples, shape (n, q)."""
         return self.states @ self.readout.T

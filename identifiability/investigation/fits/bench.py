@@ -14,14 +14,18 @@ from identifiability.inference.fitting import Fit, at_bounds, explore
 from identifiability.inference.problem import Observation, Prior, Problem
 from identifiability.inference.starts import plain_values
 from identifiability.investigation.fits.candidate import NOTHING, Candidate, Residual
+from identifiability.investigation.fits.delays import delays_profiled
+from identifiability.investigation.fits.kept import InMemory, Kept, question
 from identifiability.investigation.rules import Rules
 from identifiability.investigation.split import Split, places
 from identifiability.joint.model import Model
 from identifiability.joint.scheme import EXACT, Scheme
 from identifiability.measurement.prepared import Prepared
+from identifiability.provenance import fingerprint
 
-GLANCE, THOROUGH = 10, 60
-"""Evaluations from each start: to see whether a candidate is worth more, and to finish it."""
+GLANCE, THOROUGH, FURTHER = 10, 60, 200
+"""Evaluations from each start: to see whether a candidate is worth more, to finish it, and for the
+best two where that did not suffice."""
 _KEPT, _NEAR = 2, 2.0  # starts that are carried on: so many, at most so many times the best cost
 _MOST_AT_A_GLANCE = 16  # steps a sample: extreme parameters are passed through, not reached
 _ROUNDS = 6  # fits at most, each with the scheme that the one before asked for
@@ -37,20 +41,22 @@ class Workbench:
     split : Split
     bounds : mapping of str to (float, float)
         Other bounds than the physical ones, by parameter name.
+    kept : Kept
+        Where fits are kept, so that none is done twice; one that failed is not.
     """
 
     split: Split
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    kept: Kept = field(default_factory=InMemory)
+
+    @cached_property
+    def _identity(self) -> str:
+        return fingerprint(self.split.fitted, self.split.held_out, self.split.rules, self.bounds)
 
     @property
     def rules(self) -> Rules:
         """Conventions that everything goes by."""
         return self.split.rules
-
-    def prior(self, model: Model) -> Prior:
-        """The physical bounds of a model's parameters, or others where some were given."""
-        names = model.parameter_names
-        return Prior.physical(model, **{n: b for n, b in self.bounds.items() if n in names})
 
     @cached_property
     def _fitted(self) -> list[Observation]:
@@ -64,6 +70,11 @@ class Workbench:
         if part is self.split.fitted:
             return self._fitted
         return self._held_out if part is self.split.held_out else self.split.observations(part)
+
+    def prior(self, model: Model) -> Prior:
+        """The physical bounds of a model's parameters, or others where some were given."""
+        names = model.parameter_names
+        return Prior.physical(model, **{n: b for n, b in self.bounds.items() if n in names})
 
     def problem(
         self,
@@ -111,7 +122,20 @@ class Workbench:
     def _left(
         self, problem: Problem, values: Mapping[str, float], part: Sequence[Prepared]
     ) -> Residual:
-        white = problem.residuals(problem.free_vector(values))
+        theta = problem.free_vector(values)
+        return self.unstacked(problem, problem.residuals(theta), part)
+
+    def unstacked(self, problem: Problem, white: np.ndarray, part: Sequence[Prepared]) -> Residual:
+        """Whitened residuals of a problem, or differences of such, as those of its trials.
+
+        Parameters
+        ----------
+        problem : Problem
+            Of the part.
+        white : array
+            As `Problem.residuals` gives them.
+        part : sequence of Prepared
+        """
         white = np.clip(np.nan_to_num(white, nan=_DIVERGED), -_DIVERGED, _DIVERGED)
         found = places(problem.observations, self.split.room[1])
         by_trial, errors, weighted = [], [], 0.0
@@ -142,15 +166,33 @@ class Workbench:
         thorough : bool
             Whether to carry the fit to its end or to take a glance from every start.
         """
+        asked = question(self._identity, model, starts, refined, thorough)
+        found = self.kept.find(asked, model)
+        if found is None:
+            found = self._fit(model, starts, refined, thorough)
+            if not found.failure:
+                self.kept.keep(asked, found)
+        return found
+
+    def _fit(
+        self,
+        model: Model,
+        starts: Sequence[Mapping[str, float]],
+        refined: Sequence[str],
+        thorough: bool,
+    ) -> Candidate:
         began = time.perf_counter()
-        evaluations = THOROUGH if thorough else GLANCE
         try:
             reached: Sequence[Mapping[str, float]] = starts
             wanted = self._apriori(model, starts)
             for _ in range(_ROUNDS):
                 problem = self.problem(model, self.split.fitted, refined=refined, scheme=wanted)
                 points = np.array([problem.free_vector(s) for s in reached])
-                best = explore(problem, points, evaluations=evaluations)
+                if thorough:
+                    best = explore(problem, points, evaluations=THOROUGH, further=FURTHER)
+                    best = delays_profiled(problem, best, evaluations=THOROUGH)
+                else:
+                    best = explore(problem, points, evaluations=GLANCE)
                 reached = _distinct(model, problem, best)
                 parts, moved = self._checked(problem, reached[0], thorough)
                 wanted = self._wanted(problem, reached[0], moved)
@@ -182,10 +224,11 @@ class Workbench:
 
     def _apriori(self, model: Model, places: Sequence[Mapping[str, float]]) -> Scheme:
         """The finest of the schemes that a model's values ask for."""
-        interval = max(r.drive.interval for r in (*self.split.fitted, *self.split.held_out))
+        drives = [r.drive for r in (*self.split.fitted, *self.split.held_out)]
+        interval, imposed = max(d.interval for d in drives), drives[0].imposed
         best = EXACT
         for values in places:
-            asked = Scheme.for_model(model, model.vector(values), interval)
+            asked = Scheme.for_model(model, model.vector(values), interval, imposed)
             best = asked if asked.is_finer_than(best) else best
         return best
 
@@ -234,7 +277,8 @@ class Workbench:
         if error is not None and np.isfinite(error) and error > self._tolerance:
             if scheme.finest:
                 raise InputError(_too_fast(problem))
-            wanted = wanted if wanted.is_finer_than(scheme) else scheme.finer
+            better = scheme.improved(error / self._tolerance)
+            wanted = better if better.is_finer_than(wanted) else wanted
         return wanted
 
     @property

@@ -1,76 +1,116 @@
-"""Fits kept on disk, so that an investigation that was stopped goes on where it was.
+"""Fits that are done once: kept in memory, or on disk so that a study that was stopped goes on.
 
-A fit is one file, named after all that it depends on: data, weights, bounds, model, starts and the
+A fit is known by all that it depends on: data, weights, bounds, model, starts and, on disk, the
 code that fits. The search draws nothing, so it asks for the same fits when it is run again.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
+import marshal
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from identifiability.files import read_arrays, write_arrays
-from identifiability.investigation.fits.bench import Workbench
 from identifiability.investigation.fits.candidate import Candidate, Residual
 from identifiability.joint.model import Model
 from identifiability.joint.scheme import Scheme
 from identifiability.provenance import code_fingerprint, fingerprint
 
 
-def kept_fits(folder: Path) -> list[Path]:
-    """Files of the fits in a folder that this code made, and so would read."""
-    return sorted(folder.glob(f"{_code()}-*.npz"))
+class Kept(Protocol):
+    """Where fits are kept."""
 
+    def find(self, question: str, model: Model) -> Candidate | None:
+        """Return the fit that answers a question, if there is one."""
 
-def _code() -> str:
-    """Beginning of the names of this code's fits."""
-    return code_fingerprint(__name__)[:12]
+    def keep(self, question: str, found: Candidate) -> None:
+        """Keep a fit."""
 
 
 @dataclass(frozen=True, eq=False)
-class KeepingWorkbench(Workbench):
-    """A workbench that does no fit twice, in this run or in one before.
+class InMemory:
+    """Fits of this process."""
 
-    An effect of one's own is known by its class's name: after changing its equation, empty the
-    folder.
+    fits: dict[str, Candidate] = field(default_factory=dict)
+
+    def find(self, question: str, model: Model) -> Candidate | None:
+        """Return the fit that answers a question, if there is one."""
+        return self.fits.get(question)
+
+    def keep(self, question: str, found: Candidate) -> None:
+        """Keep a fit."""
+        self.fits[question] = found
+
+
+@dataclass(frozen=True)
+class OnDisk:
+    """Fits of this process and those before it, one file each.
 
     Attributes
     ----------
     folder : Path
-        Where the fits are kept, one file each; a fit that failed is not.
     """
 
-    folder: Path = field(kw_only=True)
+    folder: Path
 
-    @cached_property
-    def _identity(self) -> str:
-        split = self.split
-        return fingerprint(split.fitted, split.held_out, self.bounds)
+    def find(self, question: str, model: Model) -> Candidate | None:
+        """Read the fit that answers a question, if there is one that can be read."""
+        arrays = read_arrays(self._path(question))
+        return None if arrays is None else _from_arrays(model, arrays)
 
-    def fit(
-        self,
-        model: Model,
-        starts: Sequence[Mapping[str, float]],
-        *,
-        refined: Sequence[str] = (),
-        thorough: bool = True,
-    ) -> Candidate:
-        """Fit a model, or read the fit if it is there; see `Workbench.fit`."""
-        asked = fingerprint(self._identity, repr(model), starts, refined, thorough)
-        path = self.folder / f"{_code()}-{asked}.npz"
-        arrays = read_arrays(path)
-        if arrays is not None:
-            return _from_arrays(model, arrays)
-        found = super().fit(model, starts, refined=refined, thorough=thorough)
-        if not found.failure:
-            write_arrays(path, _to_arrays(found))
-        return found
+    def keep(self, question: str, found: Candidate) -> None:
+        """Write a fit."""
+        write_arrays(self._path(question), _to_arrays(found))
+
+    @property
+    def files(self) -> list[Path]:
+        """Files of the fits that this code made, and so would read."""
+        return sorted(self.folder.glob(f"{_code()}-*.npz"))
+
+    def _path(self, question: str) -> Path:
+        return self.folder / f"{_code()}-{question}.npz"
+
+
+def _code() -> str:
+    """Beginning of the names of this code's fits."""
+    return code_fingerprint("identifiability.investigation.fits.bench")[:12]
+
+
+def question(
+    identity: str,
+    model: Model,
+    starts: Sequence[Mapping[str, float]],
+    refined: Sequence[str],
+    thorough: bool,
+) -> str:
+    """Hash of all that a fit depends on, but for the package's own code.
+
+    Parameters
+    ----------
+    identity : str
+        Of the trials and the bounds.
+    model, starts, refined, thorough
+        See `Workbench.fit`.
+    """
+    return fingerprint(identity, repr(model), _own_code(model), starts, refined, thorough)
+
+
+def _own_code(model: Model) -> list[str]:
+    """Compiled methods of effects that are not the package's, whose sources `_code` has not."""
+    return [
+        f"{effect.key}.{name} {hashlib.sha256(marshal.dumps(method.__code__)).hexdigest()}"
+        for effect in model.effects
+        for kind in type(effect).__mro__
+        if not kind.__module__.startswith("identifiability.")
+        for name, method in vars(kind).items()
+        if hasattr(method, "__code__")
+    ] + [repr(parameter) for parameter in model.parameters.values()]
 
 
 def _to_arrays(candidate: Candidate) -> dict[str, np.ndarray]:

@@ -6,10 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from identifiability.inference.problem import Problem
 from identifiability.inference.widths import Widths, widths
 from identifiability.investigation.fits.bench import Workbench
 from identifiability.investigation.fits.candidate import Candidate
 from identifiability.investigation.split import owners
+from identifiability.joint.scheme import Scheme
 from identifiability.measurement.noise import correlation_time
 
 
@@ -39,4 +41,20 @@ def parameter_widths(bench: Workbench, candidate: Candidate, *, seed: int = 1) -
     ]
     sharper = replace(problem, observations=observations, exact_hessian=False)
     start = problem.free_vector(candidate.values)
+    sharper = sharper.with_scheme(_scheme_about(sharper, start))
     return widths(sharper, starts=start[None], seed=seed, referee=False, quick=True)
+
+
+def _scheme_about(problem: Problem, optimum: np.ndarray) -> Scheme:
+    """The finest scheme that parameters within three standard errors of the optimum ask for."""
+    if problem.integration.exact:
+        return problem.integration
+    jacobian = problem.jacobian(optimum)
+    reach = 3 * np.sqrt(np.diag(np.linalg.pinv(jacobian.T @ jacobian)))
+    scheme = problem.integration
+    for sign in (-1, 1):
+        for move in np.diag(sign * reach):
+            place = np.clip(optimum + move, problem.lower, problem.upper)
+            asked = problem.suited(problem.complete(place))
+            scheme = asked if asked.is_finer_than(scheme) else scheme
+    return scheme

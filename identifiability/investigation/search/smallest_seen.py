@@ -1,22 +1,33 @@
-"""The smallest effect that would have been seen, for every effect of the library."""
+"""The smallest effect that would have been seen, for every effect of the library.
+
+At a candidate size the trials are predicted with the effect, and the smaller model is fitted to
+that prediction: what it cannot absorb is the effect's trace. The trace, made shorter by bad luck
+with the noise, is then held to the search's own rules, and the size found by bisection.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
+import scipy.optimize
 
 from identifiability.errors import InputError
+from identifiability.inference.fitting import inside
+from identifiability.inference.problem import Problem
 from identifiability.inference.starts import starting_values
 from identifiability.investigation.fits.bench import Workbench
-from identifiability.investigation.fits.candidate import Candidate
+from identifiability.investigation.fits.candidate import NOTHING, Candidate, Residual
 from identifiability.investigation.fits.independent import effective_samples
+from identifiability.investigation.search.gate import Gate
 from identifiability.joint.effects.base import Effect
 from identifiability.joint.model import Model
-from identifiability.joint.scheme import Scheme
 
-_HALVINGS = 12
+_FIRST = 0.01  # share of the nominal size that the bracket is looked for from
+_STRIDE, _CLOSE = 8.0, 1.05  # largest step of that, and ratio of the bracket's ends at its end
+_EVALUATIONS = 20  # of one refit of the smaller model
 
 
 @dataclass(frozen=True)
@@ -33,6 +44,8 @@ class Detectable:
         stiffness that would have been seen.
     unit : str
     sentence : str
+    values : mapping of str to float
+        All parameters of the model with the effect at that size.
     """
 
     key: str
@@ -40,17 +53,22 @@ class Detectable:
     size: float
     unit: str
     sentence: str
+    values: Mapping[str, float] = field(default_factory=dict)
 
 
 def detectable(
     bench: Workbench, candidate: Candidate, library: Mapping[str, type[Effect]]
 ) -> tuple[Detectable, ...]:
-    """Smallest effects that would have been seen beside a fitted model.
+    r"""Smallest effects that would have been seen beside a fitted model.
 
-    An effect of nominal shape is added at a size, and what the model's own free parameters cannot
-    absorb of the change of its responses is compared with the noise: decisive where its square
-    exceeds the decisive difference plus the penalty for the effect's parameters (as the search asks
-    of it). The size is found by bisection; effects that stay invisible at any size are left out.
+    The noise is what the model leaves. With :math:`\lambda` the evidence that the effect's trace
+    is expected to have, that of one draw of the noise is :math:`(\sqrt\lambda + z)^2` with z
+    standard normal: the noise lengthens or shortens the trace. An effect counts as seen where it
+    is admitted with a z of minus ``rules.bad_luck``, in all trials together and in those that are
+    held out alone. At a third of its size its evidence is a ninth, and chance seldom makes up for
+    that.
+
+    Effects that stay invisible at any size are left out.
 
     Parameters
     ----------
@@ -59,85 +77,230 @@ def detectable(
         The model in which nothing was found missing.
     library : mapping of str to type of Effect
     """
-    split = bench.split
-    problem = bench.problem(candidate.model, split.fitted, scheme=candidate.scheme)
-    theta = problem.free_vector(candidate.values)
-    basis, _ = np.linalg.qr(problem.jacobian(theta))
-    before = problem.residuals(theta)
-    samples = effective_samples(candidate.fitted)
-    # The weights are not the noise: the residual says how large it is in their units.
-    scale = samples / candidate.fitted.weighted
     found = []
     for key, kind in library.items():
         if key in candidate.keys:
             continue
         try:
-            one = _smallest(
-                bench, candidate, candidate.model + kind(), key, before, basis, scale, samples
-            )
-        except (InputError, np.linalg.LinAlgError):
+            model = candidate.model + kind()
+        except InputError:  # it does not go with an effect that is there
             continue
+        one = _Hidden(bench, candidate, model, key).smallest()
         if one is not None:
             found.append(one)
     return tuple(found)
 
 
-def _smallest(
-    bench: Workbench,
-    candidate: Candidate,
-    model: Model,
-    key: str,
-    before: np.ndarray,
-    basis: np.ndarray,
-    scale: float,
-    samples: float,
-) -> Detectable | None:
-    shape = starting_values(model, dict(candidate.values))[0] | dict(candidate.values)
-    for name, p in model.parameters.items():
-        if name.startswith(f"{key}.") and p.plain is None and p.null is None:
-            shape[name] = p.nominal
-    sizes = [
-        n for n, p in model.parameters.items() if n.startswith(f"{key}.") and p.null is not None
-    ]
-    sizes = [n for n in sizes if model.parameters[n].plain is None]
-    measure = sizes[0]
-    p = model.parameters[measure]
-    problem = bench.problem(model, bench.split.fitted)
-    penalty = sum(q.plain is None for n, q in model.parameters.items() if n.startswith(f"{key}."))
-    needed = bench.rules.decisive + penalty * np.log(samples)
+@dataclass(frozen=True, eq=False)
+class _Hidden:
+    """An effect that the trials may hide.
 
-    def seen(size: float) -> bool:
-        values = shape | dict.fromkeys(sizes[1:], 0.0) | {measure: size}
-        theta = model.vector(values)
-        suited = problem.with_scheme(Scheme.for_model(model, theta, problem.interval))
-        change = suited.residuals(suited.free_vector(values)) - before
-        left = change - basis @ (basis.T @ change)
-        return bool(scale * left @ left > needed)
+    Attributes
+    ----------
+    bench : Workbench
+    candidate : Candidate
+        The model without it.
+    model : Model
+        The model with it.
+    key : str
+    """
 
-    assert p.null is not None
-    if np.isfinite(p.null):
-        low, high = 0.0, p.upper - p.null
-        inner = 1e-6 * p.nominal
-        if not seen(p.null + high):
-            high = 100 * (p.nominal - p.null)
-            if not seen(p.null + high):
+    bench: Workbench
+    candidate: Candidate
+    model: Model
+    key: str
+
+    @cached_property
+    def sizes(self) -> list[str]:
+        """Its parameters that make it vanish; the first measures its size."""
+        return [
+            n
+            for n, p in self.model.parameters.items()
+            if n.startswith(f"{self.key}.") and p.null is not None and p.plain is None
+        ]
+
+    @cached_property
+    def problems(self) -> tuple[list[Problem], list[Problem]]:
+        """Of the model without it and of that with it, for the fitted and the held-out trials."""
+        split = self.bench.split
+        parts = [part for part in (split.fitted, split.held_out) if part]
+        refined, scheme = self.candidate.refined, self.candidate.scheme
+        return (
+            [
+                self.bench.problem(self.candidate.model, part, refined=refined, scheme=scheme)
+                for part in parts
+            ],
+            [self.bench.problem(self.model, part, refined=refined) for part in parts],
+        )
+
+    def values(self, strength: float) -> dict[str, float]:
+        """All parameters with the effect at a strength: its size, or the inverse of a stiffness."""
+        known = dict(self.candidate.values)
+        shape = starting_values(self.model, known)[0] | known
+        for name, p in self.model.parameters.items():
+            if name.startswith(f"{self.key}.") and p.plain is None and p.null is None:
+                shape[name] = p.nominal
+        null = self.model.parameters[self.sizes[0]].null
+        assert null is not None
+        size = null + strength if np.isfinite(null) else 1 / strength
+        others = {name: self.model.parameters[name].null for name in self.sizes[1:]}
+        return shape | {n: v for n, v in others.items() if v is not None} | {self.sizes[0]: size}
+
+    def smallest(self) -> Detectable | None:
+        """Smallest size at which it is seen; ``None`` where it is seen at none."""
+        p = self.model.parameters[self.sizes[0]]
+        assert p.null is not None
+        finite = np.isfinite(p.null)
+        nominal = p.nominal - p.null if finite else 1 / p.nominal
+        most = p.upper - p.null if finite else 1 / max(p.lower, 1e-9)
+        low, high, strength = 0.0, np.inf, _FIRST * nominal
+        start = self.model_free_start
+        while not np.isfinite(high) or high > _CLOSE * low:
+            trace = self.trace(strength, start)
+            if trace is None:  # the response has no bounds: no joint has an effect of that size
                 return None
-        for _ in range(3 * _HALVINGS):
-            middle = np.sqrt(max(low, inner) * high)
-            low, high = (low, middle) if seen(p.null + middle) else (middle, high)
-            if high < 1.05 * max(low, inner):
-                break
-        size = p.null + high
-        words = f"{p.description} of {size:.2g} {p.unit}"
-    else:
-        low, high = candidate.values["K"] + 1.0, p.upper
-        if not seen(low):
+            if trace.seen:
+                high = strength
+            else:
+                low, start = strength, trace.start
+            if low >= most or high < 1e-6 * nominal:
+                return None
+            if np.isfinite(high) and low > 0:
+                strength = float(np.sqrt(low * high))
+                continue
+            # Evidence grows with the square of the strength, or faster.
+            step = float(np.clip(trace.short_of, 1 / _STRIDE, _STRIDE))
+            step = max(step, 1.2) if low > 0 else min(step, 1 / 1.2)
+            strength = min(strength * step, most)
+        values = self.values(high)
+        size = values[self.sizes[0]]
+        words = f"{p.description} {'of' if finite else 'up to'} {size:.2g} {p.unit}"
+        return Detectable(self.key, self.sizes[0], size, p.unit, words, values)
+
+    @cached_property
+    def model_free_start(self) -> np.ndarray:
+        """The smaller model's optimum."""
+        return self.problems[0][0].free_vector(self.candidate.values)
+
+    def trace(self, strength: float, start: np.ndarray) -> _Trace | None:
+        """What the smaller model, fitted anew, cannot absorb of the effect."""
+        without, having = self.problems
+        values = self.values(strength)
+        full = having[0].free_vector(values)
+        scheme = having[0].suited(self.model.vector(values))
+        predicted = [problem.with_scheme(scheme).residuals(full) for problem in having]
+        if not all(np.all(np.isfinite(p)) for p in predicted):
             return None
-        for _ in range(2 * _HALVINGS):
-            middle = np.sqrt(low * high)
-            low, high = (middle, high) if seen(middle) else (low, middle)
-            if high < 1.05 * low:
-                break
-        size = low
-        words = f"{p.description} up to {size:.2g} {p.unit}"
-    return Detectable(key, measure, float(size), p.unit, words)
+        x = _refit(without[0], predicted[0], [start, self.model_free_start, self._softened(values)])
+        split = self.bench.split
+        left = [
+            self.bench.unstacked(problem, problem.residuals(x) - p, part)
+            for problem, p, part in zip(
+                without, predicted, (split.fitted, split.held_out), strict=False
+            )
+        ]
+        return _Trace(self, values, x, left[0], left[1] if len(left) > 1 else NOTHING)
+
+    def _softened(self, values: Mapping[str, float]) -> np.ndarray:
+        """Where springs in series with the muscle take K and B of the model without them."""
+        x = self.model_free_start.copy()
+        p = self.model.parameters[self.sizes[0]]
+        if p.null is not None and not np.isfinite(p.null):
+            soft = 1 / (1 + values["K"] / values[self.sizes[0]])
+            for name, factor in (("K", soft), ("B", soft**2)):
+                names = self.problems[0][0].names
+                if name in names:
+                    x[names.index(name)] *= factor
+        return x
+
+
+@dataclass(frozen=True, eq=False)
+class _Trace:
+    """What the smaller model cannot absorb of an effect, and whether that would be seen."""
+
+    of: _Hidden
+    values: Mapping[str, float]
+    start: np.ndarray
+    fitted: Residual
+    held_out: Residual
+
+    @cached_property
+    def expected(self) -> tuple[float, float]:
+        """Evidence that it is expected to have in the fitted and in the held-out trials."""
+        candidate = self.of.candidate
+        pairs = ((candidate.fitted, self.fitted), (candidate.held_out, self.held_out))
+        fitted, held_out = (
+            effective_samples(noise, trace) * float(np.log1p(trace.weighted / noise.weighted))
+            if trace.by_trial and trace.weighted > 0
+            else 0.0
+            for noise, trace in pairs
+        )
+        return fitted, held_out
+
+    @property
+    def short_of(self) -> float:
+        """About how many times stronger the effect would have to be to be seen."""
+        extra = len(self.of.problems[1][0].free) - self.start.size
+        rules = self.of.bench.rules
+        needed = rules.decisive + extra * np.log(self.of.candidate.fitted.n_samples)
+        root = rules.bad_luck + np.sqrt(rules.bad_luck**2 + needed)
+        return float(root / np.sqrt(max(sum(self.expected), 1e-12)))
+
+    @property
+    def seen(self) -> bool:
+        """Whether the search would admit it, with bad luck in all trials, or in those held out."""
+        fitted, held_out = self.expected
+        luck = self.of.bench.rules.bad_luck
+
+        def left(evidence: float) -> float:
+            return max(0.0, 1 - luck / np.sqrt(evidence)) if evidence > 0 else 0.0
+
+        both = left(fitted + held_out)
+        draws = [(both, both), (1.0, left(held_out))] if self.held_out.by_trial else [(both, 1.0)]
+        return all(self._admitted(*draw) for draw in draws)
+
+    def _admitted(self, fitted: float, held_out: float) -> bool:
+        """Whether it passes the gate where so much of the trace is left by the noise."""
+        candidate, of = self.of.candidate, self.of
+        larger = replace(
+            candidate, model=of.model, values=self.values, free=of.problems[1][0].names
+        )
+        smaller = replace(
+            candidate,
+            fitted=_added(candidate.fitted, self.fitted, fitted),
+            held_out=_added(candidate.held_out, self.held_out, held_out),
+        )
+        return Gate(of.bench, candidate).judge(of.key, larger, smaller, larger).passes
+
+
+def _added(noise: Residual, trace: Residual, share: float) -> Residual:
+    """The noise with a share of a trace, to which it is taken to be orthogonal."""
+    if not trace.by_trial:
+        return noise
+    rows = tuple(e + share * t for e, t in zip(noise.by_trial, trace.by_trial, strict=True))
+    errors = noise.errors + share**2 * trace.errors
+    return Residual(rows, errors, noise.weighted + share**2 * trace.weighted)
+
+
+def _refit(problem: Problem, target: np.ndarray, starts: list[np.ndarray]) -> np.ndarray:
+    """Parameters whose whitened residual is nearest to the target, from the best of some starts."""
+    starts = list({tuple(s): s for s in inside(problem, np.array(starts))}.values())
+
+    def cost(x: np.ndarray) -> float:
+        miss = problem.residuals(x) - target
+        return float(miss @ miss)
+
+    costs = [cost(x) for x in starts]
+    start = starts[int(np.argmin(costs))]
+    found = scipy.optimize.least_squares(
+        lambda x: problem.residuals(x) - target,
+        start,
+        jac=problem.jacobian,
+        bounds=(problem.lower, problem.upper),
+        x_scale="jac",
+        ftol=1e-8,
+        xtol=1e-8,
+        gtol=1e-12,
+        max_nfev=_EVALUATIONS,
+    )
+    return np.asarray(found.x)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 
@@ -30,15 +30,7 @@ Kind = Literal[
     "unrepeatable",
     "nothing_missing",
 ]
-KINDS: tuple[Kind, ...] = (
-    "explained",
-    "one_of",
-    "unknown_static",
-    "unknown_memory",
-    "measurement",
-    "unrepeatable",
-    "nothing_missing",
-)
+KINDS: tuple[Kind, ...] = get_args(Kind)
 
 # Effects of the measurement that a library-free kind speaks for, where none of them fits.
 _SENSORS = {"drift": ("sensor_drift",), "sensor": ("sensor_delay", "sensor_lowpass")}

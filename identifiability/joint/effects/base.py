@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import hashlib
 from abc import ABC
-from collections.abc import Mapping, Sequence
-from typing import ClassVar, Literal, NamedTuple
+from collections.abc import Hashable, Mapping, Sequence
+from functools import cached_property
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jax import Array
 from jax.typing import ArrayLike
 
+from identifiability.joint.effects.check import check_effect
 from identifiability.joint.parameters import Parameter
 
 
@@ -49,6 +53,14 @@ class Effect(ABC):
     equivalent : keys of effects of the same form: no torque and angle tells them apart
     refines : keys of effects of which it is a richer form
     references : where the equations come from
+
+    They are checked where the class is made. Two effects are equal where class and fields are: a
+    field is a number of one's own that is not fitted.
+
+    Raises
+    ------
+    InputError
+        Where a class attribute is missing or cannot be right.
     """
 
     key: ClassVar[str]
@@ -170,11 +182,37 @@ class Effect(ABC):
         """Whether its torque depends on the past of the joint's motion."""
         return self.place == "series" or self.n_states > 0
 
+    def __init_subclass__(cls, **options: Any) -> None:
+        super().__init_subclass__(**options)
+        check_effect(cls)
+
+    def _fields(self) -> tuple[tuple[str, Hashable], ...]:
+        kind = type(self)
+        return tuple(
+            (name, _frozen(value))
+            for name, value in sorted(vars(self).items())
+            if not isinstance(getattr(kind, name, None), cached_property)
+        )
+
+    # A compiled program is shared by equal effects, so what makes them differ must count.
     def __eq__(self, other: object) -> bool:
-        return type(self) is type(other)
+        return type(self) is type(other) and self._fields() == other._fields()
 
     def __hash__(self) -> int:
-        return hash(type(self))
+        return hash((type(self), self._fields()))
 
     def __repr__(self) -> str:
-        return f"{type(self).__name__}()"
+        fields = ", ".join(f"{name}={value!r}" for name, value in self._fields())
+        return f"{type(self).__name__}({fields})"
+
+
+def _frozen(value: Any) -> Hashable:
+    """A field as a value that can be compared and hashed."""
+    if isinstance(value, np.ndarray | Array):
+        array = np.asarray(value)
+        return "array", array.shape, str(array.dtype), hashlib.sha256(array.tobytes()).hexdigest()
+    if isinstance(value, Mapping):
+        return tuple(sorted((str(key), _frozen(part)) for key, part in value.items()))
+    if isinstance(value, list | tuple):
+        return tuple(_frozen(part) for part in value)
+    return value

@@ -35,6 +35,7 @@ class SensorDelay(Effect):
             upper=0.05,
             null=0.0,
             description="lag of the recorded response behind the recorded input",
+            is_delay=True,
         ),
     )
     references = ("Ljung 1999, System Identification: Theory for the User, 2nd ed., ch. 14",)

@@ -70,6 +70,7 @@ class StretchReflex(Effect):
             lower=_SHORTEST,
             upper=0.15,
             description="delay of the reflex loop: 20 ms in the arm, 40 in the leg, more if learnt",
+            is_delay=True,
         ),
         Parameter(
             "time_constant",

@@ -1,0 +1,69 @@
+"""Delays are profiled: the others of a model are fitted at delays over their whole range.
+
+The cost is wavy along a delay, as what is delayed falls into step with the motion or out of it, and
+least squares from a few starts ends in the wave where it began.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from identifiability.inference.conditional import one_by_one
+from identifiability.inference.fitting import Fit, explore
+from identifiability.inference.problem import Problem
+
+_POINTS = 12  # 20 % apart for a reflex
+_POLISHED = 2
+
+
+def delays_profiled(problem: Problem, best: Fit, *, evaluations: int) -> Fit:
+    """Fit taken up from the best places of each delay's profile.
+
+    Parameters
+    ----------
+    problem : Problem
+    best : Fit
+    evaluations : int
+        Most evaluations from each of these places.
+
+    Returns
+    -------
+    Fit
+        The better of what was given and what was found; its `costs` and `reached` have both.
+    """
+    for index, name in enumerate(problem.names):
+        if problem.model.parameters[name].is_delay:
+            best = _profiled(problem, best, index, evaluations)
+    return best
+
+
+def _profiled(problem: Problem, best: Fit, index: int, evaluations: int) -> Fit:
+    lower, upper = problem.lower[index], problem.upper[index]
+    space = np.geomspace if lower > 0 else np.linspace
+    grid = space(lower, upper, _POINTS)
+    here = best.values[index]
+    points, heights = [best.values], [-best.cost]
+    for side in (grid[grid > here], grid[grid < here][::-1]):
+        point = best.values
+        for value in side:
+            start = point.copy()
+            start[index] = value
+            solved = one_by_one(problem, (index,), start[None])
+            point = solved.points[0]
+            points.append(point)
+            heights.append(float(solved.log_likelihood[0]))
+    order = np.argsort([point[index] for point in points])
+    height = np.array(heights)[order]
+    height = np.where(np.isfinite(height), height, -np.inf)
+    beside = np.concatenate([[-np.inf], height, [-np.inf]])
+    tops = np.flatnonzero((height >= beside[:-2]) & (height >= beside[2:]) & np.isfinite(height))
+    chosen = [points[order[i]] for i in tops[np.argsort(-height[tops])][:_POLISHED]]
+    starts = np.array(chosen)
+    found = explore(problem, starts, evaluations=evaluations, further=evaluations)
+    costs = np.concatenate([best.costs, found.costs])
+    reached = np.concatenate([best.reached, found.reached])
+    better = found if found.cost < best.cost else best
+    agreeing = int(np.sum(costs <= better.cost * (1 + 1e-3) + 1e-14))
+    return replace(better, costs=costs, reached=reached, n_agreeing=agreeing)

@@ -1,0 +1,92 @@
+"""Fits reach their optimum: no fit with a parameter held ever beats the one with it free."""
+
+import numpy as np
+import pytest
+
+from identifiability.inference.conditional import one_by_one
+from identifiability.investigation.fits.bench import Workbench
+from identifiability.investigation.investigate import Investigation
+from identifiability.investigation.search.fitter import Fitter
+from identifiability.joint.effects import EFFECTS
+from identifiability.joint.model import KBI
+from identifiability.joint.response import simulate
+from identifiability.measurement.perturbations import SampledTorque, imposed_motion
+from identifiability.measurement.trials import Trial
+
+TIME = np.arange(300) / 500
+JOINT = {"K": 30.0, "B": 1.0, "I": 0.1}
+PULSE = np.where((TIME > 0.06) & (TIME < 0.16), np.sin(np.pi * (TIME - 0.06) / 0.1) ** 2, 0.0)
+SHIFTED = np.where((TIME > 0.3) & (TIME < 0.5), np.sin(np.pi * (TIME - 0.3) / 0.2) ** 2, 0.0)
+TOLERANCE = 0.1  # nats of the noise
+
+
+def trials(model, values, driven, seed=1, noise=0.01):
+    rng = np.random.default_rng(seed)
+    theta, out = model.vector(values), []
+    for i, size in enumerate((1.0, -2.0)):
+        shape = size * (PULSE - 0.6 * SHIFTED)
+        torque, angle = 8 * shape, 0.1 * shape
+        substeps = None if model.linear else 4
+        if driven == "torque":
+            angle = simulate(model, theta, SampledTorque(torque).drive(TIME), substeps=substeps)
+        else:
+            torque = simulate(model, theta, imposed_motion(TIME, angle), substeps=substeps)
+        response = angle if driven == "torque" else torque
+        noisy = response + noise * np.std(response) * rng.standard_normal(response.size)
+        torque, angle = (torque, noisy) if driven == "torque" else (noisy, angle)
+        out.append(Trial(TIME, torque, angle, driven=driven, name=f"t{i}"))
+    return out
+
+
+def fitted(key, driven, **changes):
+    """The search's own fit of an effect to trials of a joint that has it."""
+    model = KBI() + EFFECTS[key]()
+    nominal = dict(zip(model.parameter_names, model.nominal, strict=True))
+    values = nominal | JOINT | {f"{key}.{name}": value for name, value in changes.items()}
+    data = trials(model, values, driven)
+    study = Investigation(data[:1], data[1:], library={key: EFFECTS[key]}, lowpass_hz=None)
+    kbi = study.fit(KBI())
+    return study.bench, kbi, Fitter(study.bench, kbi).fit(model, kbi)
+
+
+def gains_when_held(bench: Workbench, candidate):
+    """How much better [nats] fits are that hold one parameter about where the free fit has it."""
+    problem = bench.problem(candidate.model, bench.split.fitted, refined=candidate.refined)
+    best = candidate.model.vector(candidate.values)[list(problem.free)]
+    residuals, jacobian = problem.residuals(best), problem.jacobian(best)
+    cost = 0.5 * residuals @ residuals
+    # The weights are not the noise, which is what the fit leaves.
+    scale = 0.5 * problem.n_samples / cost
+    information = jacobian.T @ jacobian * scale
+    size = 1 / np.sqrt(np.diag(information))
+    sds = size * np.sqrt(np.diag(np.linalg.pinv(information * np.outer(size, size))))
+    gains = {}
+    for i, name in enumerate(problem.names):
+        values = np.clip(
+            best[i] + sds[i] * np.array([-3, -1, -0.3, 0.3, 1, 3]),
+            problem.lower[i],
+            problem.upper[i],
+        )
+        if candidate.model.parameters[name].is_delay:
+            values = np.append(values, np.linspace(problem.lower[i], problem.upper[i], 7)[1:-1])
+        points = np.repeat(best[None], len(values), axis=0)
+        points[:, i] = values
+        # Twice, as one pass is no more than a few evaluations.
+        held = one_by_one(problem, (i,), one_by_one(problem, (i,), points).points)
+        gains[name] = scale * (cost + float(held.log_likelihood.max()))
+    return gains
+
+
+@pytest.mark.parametrize("key", EFFECTS)
+def test_no_restricted_fit_beats_the_free_one(key):
+    bench, _, free = fitted(key, "torque")
+    assert not free.failure
+    gains = gains_when_held(bench, free)
+    assert max(gains.values()) < TOLERANCE, gains
+
+
+@pytest.mark.parametrize("key", ["stretch_reflex", "series_tendon", "sensor_delay"])
+def test_nor_where_the_motion_is_imposed(key):
+    bench, _, free = fitted(key, "angle")
+    gains = gains_when_held(bench, free)
+    assert max(gains.values()) < TOLERANCE, gains
