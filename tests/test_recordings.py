@@ -146,8 +146,7 @@ def pushed(model, values):
     for size in (12.0, -6.0):
         torque = size * ((time > 0.05) & (time <= 0.1))
         drive = SampledTorque(torque).drive(time)
-        substeps = None if model.linear else 2
-        angle = simulate(model, model.vector(values), drive, substeps=substeps)
+        angle = simulate(model, model.vector(values), drive)
         noise = 1e-3 * np.sqrt(np.mean(angle**2)) * random.standard_normal(time.size)
         yield Trial(time, torque, angle + noise, name=f"pushed by {size:g} Nm")
 

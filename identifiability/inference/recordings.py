@@ -14,6 +14,7 @@ from identifiability.inference.problem import Observation, Prior, Problem, obser
 from identifiability.inference.starts import first_guess, plain_values, starting_values
 from identifiability.inference.widths import Widths, widths
 from identifiability.joint.model import KBI, Model
+from identifiability.joint.scheme import Scheme
 from identifiability.measurement.filtering import Lowpass
 from identifiability.measurement.noise import Noise, correlation_time
 from identifiability.measurement.prepared import Prepared, prepare
@@ -23,6 +24,9 @@ from identifiability.progress import Progress, silent
 
 _STARTS = 6
 _EVALUATIONS = 60  # from each start, of a model with effects
+_SOLVER_SHARE = 0.1
+"""Error E of the integration over that of the fit, from which on the steps are made finer."""
+_SOLVER_LEAST, _SOLVER_MOST = 1e-7, 1e-5  # whatever the fit's own error
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,6 +118,7 @@ def recording_problem(
     prior: Prior,
     noises: Sequence[Noise] | None = None,
     refined: bool = False,
+    scheme: Scheme | None = None,
 ) -> Problem:
     """Problem of fitting a model to selected samples of trials.
 
@@ -129,6 +134,8 @@ def recording_problem(
         ``2 * cost`` is the sum of the trials' errors E.
     refined : bool
         Whether parameters that only refine an effect are free too.
+    scheme : Scheme, optional
+        How responses are computed; by default as nominal parameters ask for.
 
     Returns
     -------
@@ -155,11 +162,12 @@ def recording_problem(
         observations,
         prior,
         fixed=plain_values(model, model.effect_keys if refined else ()),
+        scheme=scheme,
         exact_hessian=not model.effects,
     )
 
 
-def best_fit(problem: Problem, guess: np.ndarray, seed: int) -> Fit:
+def best_fit(problem: Problem, guess: np.ndarray, seed: int) -> tuple[Problem, Fit]:
     """Fit a model from starts about a first guess of K, B and I.
 
     A model with effects starts from the best K, B and I alone, with its effects near their null,
@@ -168,19 +176,43 @@ def best_fit(problem: Problem, guess: np.ndarray, seed: int) -> Fit:
     Parameters
     ----------
     problem : Problem
+        In which each trial weighs by its energy, so that ``2 * cost`` is a sum of errors E.
     guess : array, shape (3,)
         K, B and I.
     seed : int
         Of the starts.
+
+    Returns
+    -------
+    Problem
+        Integrated in steps that suit the fit.
+    Fit
+
+    Raises
+    ------
+    InputError
+        Where no start leads to a finite response, or no steps are fine enough.
     """
     model = problem.model
     if not model.effects:
-        return fit(problem, starting_points(problem, guess, _STARTS, seed))
+        return problem, fit(problem, starting_points(problem, guess, _STARTS, seed))
     prior = Prior(problem.prior.lower[:3], problem.prior.upper[:3])
-    alone = best_fit(Problem(KBI(), problem.observations, prior), guess, seed)
+    _, alone = best_fit(Problem(KBI(), problem.observations, prior), guess, seed)
     known = {name: alone[name] for name in alone.names}
-    points = [problem.free_vector(start) for start in starting_values(model, known)]
-    return explore(problem, np.array(points), evaluations=_EVALUATIONS)
+    points = np.array([problem.free_vector(s) for s in starting_values(model, known)])
+    while True:
+        best = explore(problem, points, evaluations=_EVALUATIONS)
+        finer = _resolved(problem, best)
+        if not finer.integration.is_finer_than(problem.integration):
+            return problem, best
+        problem, points = finer, best.values[None]
+
+
+def _resolved(problem: Problem, best: Fit) -> Problem:
+    """The problem in steps whose error is small beside that of the fit."""
+    n = len(problem.observations)
+    allowed = np.clip(_SOLVER_SHARE * 2 * best.cost / n, _SOLVER_LEAST, _SOLVER_MOST)
+    return problem.resolved(best.values, float(allowed) * n / problem.n_samples)
 
 
 @dataclass(frozen=True)
@@ -336,10 +368,9 @@ def fit_recordings(
     def study(
         chosen: Sequence[Selection], sampler_seed: int, referee: bool
     ) -> tuple[Problem, Widths, list[Noise], list[float]]:
-        rough = pose(prepared, chosen)
-        best = best_fit(rough, guess, starts_seed)
+        rough, best = best_fit(pose(prepared, chosen), guess, starts_seed)
         noises, fractions = _noises(rough, best, chosen)
-        problem = pose(prepared, chosen, noises=noises)
+        problem = pose(prepared, chosen, noises=noises, scheme=rough.integration)
         result = widths(
             problem,
             starts=best.values[None],
@@ -433,13 +464,13 @@ def _noises(
 def _held_out(parts: Parts, pose: Callable[..., Problem], guess: np.ndarray, seed: int) -> HeldOut:
     """Fit one part, judge on the other."""
     chosen, others = ([whole(p) for p in part] for part in (parts.fitted, parts.held_out))
-    problem = pose(parts.fitted, chosen)
-    best = best_fit(problem, guess, seed)
+    problem, best = best_fit(pose(parts.fitted, chosen), guess, seed)
+    other = pose(parts.held_out, others, scheme=problem.integration)
     return HeldOut(
         parts.what_is_fitted,
         parts.what_is_held_out,
         parts.rule,
         best,
         goodness(problem, best, chosen),
-        goodness(pose(parts.held_out, others), best, others),
+        goodness(other, best, others),
     )

@@ -12,11 +12,12 @@ import numpy as np
 from identifiability.errors import InputError
 from identifiability.inference.fitting import Fit, at_bounds, explore
 from identifiability.inference.problem import Observation, Prior, Problem
+from identifiability.inference.starts import plain_values
 from identifiability.investigation.fits.candidate import NOTHING, Candidate, Residual
 from identifiability.investigation.fits.delays import delays_profiled
 from identifiability.investigation.fits.kept import InMemory, Kept, question
 from identifiability.investigation.rules import Rules
-from identifiability.investigation.split import Split, owners
+from identifiability.investigation.split import Split, places
 from identifiability.joint.model import Model
 from identifiability.joint.scheme import EXACT, Scheme
 from identifiability.measurement.prepared import Prepared
@@ -94,16 +95,11 @@ class Workbench:
         scheme : Scheme, optional
             That of a candidate; by default that for nominal parameters.
         """
-        plain = {
-            name: p.plain
-            for name, p in model.parameters.items()
-            if p.plain is not None and name.split(".")[0] not in refined
-        }
         return Problem(
             model,
             self._observed(part),
             self.prior(model),
-            fixed=plain,
+            fixed=plain_values(model, refined),
             scheme=scheme,
             room=self.split.room,
         )
@@ -140,16 +136,11 @@ class Workbench:
             As `Problem.residuals` gives them.
         part : sequence of Prepared
         """
-        white = white.reshape(self.split.room)
         white = np.clip(np.nan_to_num(white, nan=_DIVERGED), -_DIVERGED, _DIVERGED)
-        compared = [
-            row[: o.scale.size][o.scale > 0]
-            for row, o in zip(white, problem.observations, strict=False)
-        ]
-        owner = owners(problem.observations)
+        found = places(problem.observations, self.split.room[1])
         by_trial, errors, weighted = [], [], 0.0
-        for i, (ready, sd) in enumerate(zip(part, self.split.weights_sd(part), strict=True)):
-            left = np.concatenate([c for c, j in zip(compared, owner, strict=True) if i == j])
+        for ready, sd, at in zip(part, self.split.weights_sd(part), found, strict=True):
+            left = white[at]
             by_trial.append(-sd * left)
             errors.append(float(sd**2 * left @ left) / ready.energy)
             weighted += float(left @ left)
