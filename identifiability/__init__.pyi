@@ -1,4 +1,5 @@
 from .benchmark.cases import CaseSpec, HiddenCase, hidden_cases
+from .benchmark.protocol import Recorder
 from .errors import InputError
 from .inference.archive import to_datatree, write_netcdf
 from .inference.curvature import Curvature, curvature, largest_change
@@ -26,9 +27,9 @@ from .investigation.unexplained.explanation import Family
 from .investigation.unexplained.readouts import DelayReadout, MemoryKernel, MissingTorque, StaticMap
 from .investigation.verdict.judge import Verdict
 from .investigation.verdict.reasons import Reason
-from .investigation.where.compare import Comparison, Constancy, Estimate, TrialRow
+from .investigation.where.compare import Change, Comparison, Constancy, Estimate, TrialRow
 from .investigation.where.locate import Location
-from .investigation.where.view import View
+from .investigation.where.view import Panel, View
 from .investigation.wording.describe import describe
 from .joint.effects import (
     EFFECTS,
@@ -70,7 +71,7 @@ from .measurement.perturbations import (
     multisine,
     prbs,
 )
-from .measurement.prepared import Prepared
+from .measurement.prepared import Lead, Prepared, Treatment
 from .measurement.readers import read_trial
 from .measurement.trials import Trial, onsets
 from .plots.corner import corner_figure
@@ -86,11 +87,14 @@ __all__ = [  # noqa: RUF022 -- in the order of use
     "InputError",
     "Trial",
     "Prepared",
+    "Treatment",
+    "Lead",
     "read_trial",
     "example_trials",
     "hidden_cases",
     "HiddenCase",
     "CaseSpec",
+    "Recorder",
     "onsets",
     "Perturbation",
     "PERTURBATIONS",
@@ -163,8 +167,10 @@ __all__ = [  # noqa: RUF022 -- in the order of use
     "TrialRow",
     "Estimate",
     "Constancy",
+    "Change",
     "Location",
     "View",
+    "Panel",
     "Rules",
     "OnDisk",
     "Residual",
