@@ -47,5 +47,5 @@ class CubicStiffness(Effect):
 
     def pace(self, values: Mapping[str, float]) -> float:
         """Frequency [rad/s] to which the stiffness at a typical angle would raise the joint."""
-        stiffening = 3 * abs(values["cubic_stiffness.coefficient"]) * _TYPICAL**2
+        stiffening = 3 * abs(values[f"{self.key}.coefficient"]) * _TYPICAL**2
         return math.sqrt(stiffening / values["I"])

@@ -62,11 +62,11 @@ class Gravity(Effect):
 
     def pace(self, values: Mapping[str, float]) -> float:
         """Frequency [rad/s] of the segment as a pendulum."""
-        return math.sqrt(values["gravity.moment"] / values["I"])
+        return math.sqrt(values[f"{self.key}.moment"] / values["I"])
 
     def objection(self, values: Mapping[str, float]) -> str:
         """Whether the segment would be too short for its inertia."""
-        length = _STANDARD_GRAVITY * values["I"] / max(values["gravity.moment"], 1e-12)
+        length = _STANDARD_GRAVITY * values["I"] / max(values[f"{self.key}.moment"], 1e-12)
         if length >= _SHORTEST:
             return ""
         return (

@@ -71,5 +71,5 @@ class QuadraticStiffness(Effect):
 
     def pace(self, values: Mapping[str, float]) -> float:
         """Frequency [rad/s] to which the stiffness at a typical angle would raise the joint."""
-        stiffening = 2 * abs(values["quadratic_stiffness.coefficient"]) * _TYPICAL
+        stiffening = 2 * abs(values[f"{self.key}.coefficient"]) * _TYPICAL
         return math.sqrt(stiffening / values["I"])

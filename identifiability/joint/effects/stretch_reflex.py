@@ -170,6 +170,6 @@ class StretchReflex(Effect):
 
     def doubt(self, values: Mapping[str, float]) -> str:
         """Whether the delay is the shortest possible: the fit wanted something quicker."""
-        if values["stretch_reflex.delay"] > _AT * _SHORTEST:
+        if values[f"{self.key}.delay"] > _AT * _SHORTEST:
             return ""
         return f"a delay of {1e3 * _SHORTEST:.0f} ms is the shortest that any reflex of a limb has"
