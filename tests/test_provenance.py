@@ -55,7 +55,7 @@ def test_what_has_no_fingerprint_is_refused():
 # The code
 
 STUDY = "identifiability.study.atlas"
-KEPT = "identifiability.investigation.fits.kept"
+FITS = "identifiability.investigation.fits.bench"
 
 
 @pytest.fixture
@@ -71,14 +71,14 @@ def of(package: Path, *modules: str) -> str:
 
 
 def test_the_same_sources_have_the_same_fingerprint_wherever_they_lie(copied):
-    for modules in ((), (STUDY,), (KEPT,)):
+    for modules in ((), (STUDY,), (FITS,)):
         assert of(copied, *modules) == of(copied, *modules) == of(PACKAGE, *modules)
         assert of(copied, *modules) == code_fingerprint(*modules)
-    assert len({of(copied), of(copied, STUDY), of(copied, KEPT), of(copied, STUDY, KEPT)}) == 4
+    assert len({of(copied), of(copied, STUDY), of(copied, FITS), of(copied, STUDY, FITS)}) == 4
 
 
 @pytest.mark.parametrize(
-    ("path", "study", "kept"),
+    ("path", "study", "fits"),
     [
         ("joint/integrator.py", True, True),
         ("joint/__init__.py", True, True),
@@ -91,12 +91,12 @@ def test_the_same_sources_have_the_same_fingerprint_wherever_they_lie(copied):
         ("report/page.py", False, False),
     ],
 )
-def test_a_byte_changes_the_fingerprint_of_what_it_takes_part_in(copied, path, study, kept):
-    before = [of(copied, *modules) for modules in ((), (STUDY,), (KEPT,))]
+def test_a_byte_changes_the_fingerprint_of_what_it_takes_part_in(copied, path, study, fits):
+    before = [of(copied, *modules) for modules in ((), (STUDY,), (FITS,))]
     with (copied / path).open("ab") as file:
         file.write(b"#")
-    after = [of(copied, *modules) for modules in ((), (STUDY,), (KEPT,))]
-    assert [a != b for a, b in zip(after, before, strict=True)] == [True, study, kept]
+    after = [of(copied, *modules) for modules in ((), (STUDY,), (FITS,))]
+    assert [a != b for a, b in zip(after, before, strict=True)] == [True, study, fits]
 
 
 def test_a_file_that_is_renamed_or_added_changes_it(copied):
@@ -153,7 +153,7 @@ def test_a_record_of_this_code_is_read_without_a_remark(tmp_path):
     ("change", "words"),
     [
         ({"code": "0" * 32}, "fingerprint 000000000000"),
-        ({"code_of": KEPT}, "fingerprint"),
+        ({"code_of": FITS}, "fingerprint"),
         ({"code_of": "identifiability.gone"}, "gone"),
         ({"code": ""}, "no fingerprint"),
     ],

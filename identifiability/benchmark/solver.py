@@ -19,7 +19,7 @@ from identifiability.joint.model import KBI, Imposed
 from identifiability.joint.response import simulate
 from identifiability.joint.scheme import Scheme
 from identifiability.measurement.perturbations import Drive, SampledTorque, imposed_motion
-from identifiability.provenance import package_version
+from identifiability.provenance import stamp
 
 RATES = (60, 100, 200, 500, 1000, 2000)
 """Samples per second."""
@@ -177,7 +177,7 @@ def record(rows: Sequence[Row]) -> dict[str, Any]:
     """Plain record, for JSON."""
     return {
         "schema": 1,
-        "package": package_version(),
+        **stamp(__name__),
         "noises": list(NOISES),
         "allowed": ALLOWED,
         "joint": JOINT,
