@@ -125,36 +125,32 @@ def test_without_the_referee():
     assert "quadrature" not in to_datatree(problem_of(case), result).children
 
 
+def gaussian(problem, optimum, /, *, seed, local_optima, quick):
+    """Exact draws of the Gaussian about the optimum: a sampler that is not ours."""
+    factor = np.linalg.cholesky(curvature(problem, optimum).covariance)
+    shape = (4, 64, 10, len(optimum))
+    draws = optimum + np.random.default_rng(seed).standard_normal(shape) @ factor.T
+    return Posterior.judged(
+        problem.names,
+        draws,
+        np.zeros(shape[:-1]),
+        independent=True,
+        step="Gaussian",
+        reason=f"quick: {quick}, {len(local_optima)} optima",
+        acceptance=1.0,
+        seed=seed,
+    )
+
+
 def test_the_sampler_is_an_argument():
-    """Exact draws of the Gaussian about the optimum, from a sampler that is not ours."""
     case = Case(32, 3.2, 100, 0.1, "energy")
-    asked = {}
-
-    def gaussian(problem, optimum, /, *, seed, local_optima, quick):
-        asked.update(seed=seed, quick=quick, local_optima=local_optima)
-        factor = np.linalg.cholesky(curvature(problem, optimum).covariance)
-        shape = (4, 64, 10, len(optimum))
-        draws = optimum + np.random.default_rng(seed).standard_normal(shape) @ factor.T
-        scores = np.zeros(shape[:-1])
-        return Posterior.judged(
-            problem.names,
-            draws,
-            scores,
-            independent=True,
-            step="Gaussian",
-            reason="",
-            acceptance=1.0,
-            seed=seed,
-        )
-
     result = widths(
         problem_of(case), starts=case.setting.starts(), seed=3, referee=False, sampler=gaussian
     )
-    assert asked["seed"] == 3
-    assert asked["quick"] is False
-    assert asked["local_optima"].shape[1] == 3
     assert result.posterior.step == "Gaussian"
+    assert result.posterior.reason == f"quick: False, {len(case.setting.starts())} optima"
     assert result.to_dict()["sampler"]["step"] == "Gaussian"
+    assert result.to_dict()["sampler"]["seed"] == 3
     assert result.verdict == "agrees"
 
 
@@ -172,6 +168,22 @@ def test_a_sampler_that_did_not_converge_gives_no_verdict():
     assert record["sampler"]["converged"] is False
     assert record["sampler"]["unmet"] == ["nested R-hat of K is 1.300"]
     assert all("nested R-hat of K is 1.300" in row.reason for row in result.rows)
+
+
+def test_a_better_point_on_a_profile_is_taken_up():
+    """A fit from one start ends in the worse of two optima; a profile passes by the better one."""
+    case = Case(100, 30, 1000, 0.2)
+    found = fit_of(case)
+    worse = found.reached[np.argmax(np.abs(found.reached[:, 0] - found.values[0]))]
+    options = {"seed": 1, "referee": False, "sampler": gaussian}
+    result = widths(problem_of(case), starts=worse[None], **options)
+    assert len(result.taken_up) == 1
+    assert result.taken_up[0] in result.names
+    assert result.to_dict()["optimum"]["taken_up"] == list(result.taken_up)
+    assert result.fit.cost == pytest.approx(found.cost, rel=1e-6)
+    assert not any(path.improved for path in result.profiles)
+    # The control: from the best optimum there is nothing to take up.
+    assert widths(problem_of(case), starts=found.values[None], **options).taken_up == ()
 
 
 # The judge, on constructed inputs: a Gaussian of sd 1 about 0, then one thing changed at a time

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -37,6 +37,7 @@ END_TOLERANCE = 0.25
 HEAVY_TAIL = 2.15
 _P68, _P95 = 0.6827, 0.95
 _FEW_EVALUATIONS, _FEW_POINTS, _THREADS = 60, 5, 2
+_MOST_TAKEN_UP = 3  # times that a fit is taken up from a better point met on the way
 
 
 @dataclass(frozen=True)
@@ -113,6 +114,9 @@ class Widths:
     posterior : Posterior
     moments : Moments or None
         The quadrature's, where there were at most three parameters.
+    taken_up : tuple of str
+        Parameters whose profile met a better point than the fit, one for each time that the fit
+        was taken up from there; everything above is of the last fit.
     """
 
     rows: tuple[Width, ...]
@@ -121,6 +125,7 @@ class Widths:
     profiles: tuple[Profile, ...]
     posterior: Posterior
     moments: Moments | None
+    taken_up: tuple[str, ...] = ()
 
     def __getitem__(self, name: str) -> Width:
         """Widths of a parameter by name."""
@@ -153,6 +158,7 @@ class Widths:
                 "at_bound": list(self.fit.at_bound),
                 "starts": len(self.fit.costs),
                 "starts_agreeing": self.fit.n_agreeing,
+                "taken_up": list(self.taken_up),
             },
             "sampler": {
                 "step": sampler.step,
@@ -185,6 +191,9 @@ def widths(
 ) -> Widths:
     """Fit, differentiate, profile, sample, integrate and judge.
 
+    Where a profile meets a better point than the fit, the fit is taken up from there, and the
+    result says so.
+
     Parameters
     ----------
     problem : Problem
@@ -205,15 +214,21 @@ def widths(
     -------
     Widths
     """
-    best = explore(problem, starts, evaluations=_FEW_EVALUATIONS) if quick else fit(problem, starts)
-    shape = curvature(problem, best.values)
-    points = _FEW_POINTS if quick else POINTS
-
-    def follow(name: str) -> Profile:
-        return profile(problem, best.values, name, points=points, shape=shape)
-
-    with ThreadPoolExecutor(_THREADS if quick else 1) as pool:
-        profiles = tuple(pool.map(follow, problem.names))
+    best = _fitted(problem, starts, quick)
+    shape, profiles = _profiles(problem, best, quick)
+    taken_up: list[str] = []
+    # A profile that met a better point is of another optimum: the fit is taken up from there.
+    while len(taken_up) < _MOST_TAKEN_UP:
+        lowest = min(profiles, key=lambda path: path.drops.min())
+        if not lowest.improved:
+            break
+        again = _fitted(problem, lowest.paths[[int(np.argmin(lowest.drops))]], quick)
+        if again.cost >= best.cost:
+            break
+        taken_up.append(lowest.name)
+        reached = np.concatenate([again.reached, best.reached])
+        best = replace(again, costs=np.concatenate([again.costs, best.costs]), reached=reached)
+        shape, profiles = _profiles(problem, best, quick)
     posterior = sampler(problem, best.values, seed=seed, local_optima=best.reached, quick=quick)
     moments = None
     if referee and len(problem.names) <= 3:
@@ -222,7 +237,22 @@ def widths(
         _row(problem, i, best, shape, profiles[i], posterior, moments)
         for i in range(len(problem.names))
     )
-    return Widths(rows, best, shape, profiles, posterior, moments)
+    return Widths(rows, best, shape, profiles, posterior, moments, tuple(taken_up))
+
+
+def _fitted(problem: Problem, starts: np.ndarray, quick: bool) -> Fit:
+    return explore(problem, starts, evaluations=_FEW_EVALUATIONS) if quick else fit(problem, starts)
+
+
+def _profiles(problem: Problem, best: Fit, quick: bool) -> tuple[Curvature, tuple[Profile, ...]]:
+    shape = curvature(problem, best.values)
+    points = _FEW_POINTS if quick else POINTS
+
+    def follow(name: str) -> Profile:
+        return profile(problem, best.values, name, points=points, shape=shape)
+
+    with ThreadPoolExecutor(_THREADS if quick else 1) as pool:
+        return shape, tuple(pool.map(follow, problem.names))
 
 
 def _row(

@@ -31,12 +31,15 @@ def delays_profiled(problem: Problem, best: Fit, *, evaluations: int) -> Fit:
     Returns
     -------
     Fit
-        The better of what was given and what was found; its `costs` and `reached` have both.
+        The better of what was given and what was found; its `costs` and `reached` have both, and
+        `n_agreeing` says how many of the given starts had reached it.
     """
+    given = best.costs
     for index, name in enumerate(problem.names):
         if problem.model.parameters[name].is_delay:
             best = _profiled(problem, best, index, evaluations)
-    return best
+    agreeing = int(np.sum(given <= best.cost * (1 + 1e-3) + 1e-14))
+    return replace(best, n_agreeing=agreeing)
 
 
 def _profiled(problem: Problem, best: Fit, index: int, evaluations: int) -> Fit:
@@ -50,7 +53,10 @@ def _profiled(problem: Problem, best: Fit, index: int, evaluations: int) -> Fit:
         for value in side:
             start = point.copy()
             start[index] = value
-            solved = one_by_one(problem, (index,), start[None])
+            try:
+                solved = one_by_one(problem, (index,), start[None])
+            except (ValueError, np.linalg.LinAlgError):  # no finite response at this delay
+                break
             point = solved.points[0]
             points.append(point)
             heights.append(float(solved.log_likelihood[0]))
@@ -65,5 +71,4 @@ def _profiled(problem: Problem, best: Fit, index: int, evaluations: int) -> Fit:
     costs = np.concatenate([best.costs, found.costs])
     reached = np.concatenate([best.reached, found.reached])
     better = found if found.cost < best.cost else best
-    agreeing = int(np.sum(costs <= better.cost * (1 + 1e-3) + 1e-14))
-    return replace(better, costs=costs, reached=reached, n_agreeing=agreeing)
+    return replace(better, costs=costs, reached=reached)
