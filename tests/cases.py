@@ -1,18 +1,23 @@
-"""A spread of settings, windows and readings, and their widths, worked out once a session.
+"""What several tests compute with: settings whose widths are known, and trials of a known joint.
 
-All windows have 101 samples, whatever their length, so that one compilation serves them all.
+Of settings, windows and readings there is a spread, each worked out once a session. All windows
+have 101 samples, whatever their length, so that one compilation serves them all.
 """
 
 from dataclasses import dataclass
 from functools import cache
+
+import numpy as np
 
 from identifiability.inference.fitting import Fit, fit
 from identifiability.inference.problem import Prior, Problem
 from identifiability.inference.quadrature import Moments, quadrature
 from identifiability.inference.widths import Widths, widths
 from identifiability.joint.model import KBI
+from identifiability.joint.response import simulate
 from identifiability.measurement.noise import Reading
-from identifiability.measurement.perturbations import Impulse
+from identifiability.measurement.perturbations import Impulse, SampledTorque
+from identifiability.measurement.trials import Trial
 from identifiability.study.setting import Setting, measured_problem
 
 SAMPLES = 101
@@ -89,3 +94,30 @@ SPREAD = {
     Case(32, 10, 320, 0.1, "energy"): (A, A, A),
     Case(200, 30, 2000, 0.2, "energy"): (A, A, A),
 }
+
+
+# Trials to investigate: of a joint made of the library's effects, pulses and steps of the torque.
+TIME = np.arange(500) / 1000
+JOINT = {"K": 30.0, "B": 1.0, "I": 0.1}
+FITTED = [("pulse", 8), ("pulse", -16), ("step", 4), ("step", -6)]
+HELD = [("pulse", -8), ("step", 6)]
+
+
+def torque(kind: str, size: float) -> np.ndarray:
+    if kind == "pulse":
+        return size * ((TIME > 0.05) & (TIME <= 0.1))
+    return size * (TIME > 0.05)
+
+
+def trials(model, values, seed=1, noise=1e-3, conditions=FITTED):
+    """Torque-driven trials of a model of the library, with white noise of a relative size."""
+    rng = np.random.default_rng(seed)
+    theta = model.vector(values)
+    out = []
+    for i, (kind, size) in enumerate(conditions):
+        drive = SampledTorque(torque(kind, size)).drive(TIME)
+        angle = simulate(model, theta, drive, substeps=None if model.linear else 2)
+        sd = noise * np.sqrt(np.mean(angle**2))
+        noisy = angle + sd * rng.standard_normal(angle.size)
+        out.append(Trial(TIME, torque(kind, size), noisy, name=f"t{i}", condition=kind))
+    return out

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from test_investigation import HELD, JOINT, trials
+from cases import HELD, JOINT, trials
 
 from identifiability.errors import InputError
 from identifiability.inference import fitting
