@@ -1,7 +1,5 @@
 """The effects that are held to the contract, run all alike so that little has to be compiled."""
 
-from functools import partial
-
 import jax
 import numpy as np
 
@@ -14,6 +12,7 @@ from identifiability.joint.effects import (
 from identifiability.joint.effects.base import Effect
 from identifiability.joint.integrator import integrate
 from identifiability.joint.parameters import Parameter
+from identifiability.joint.programs import quickly_compiled
 from identifiability.joint.response import drive_arrays
 from identifiability.measurement.perturbations import SampledTorque, imposed_motion
 
@@ -91,12 +90,13 @@ def respond(model, values, drive, order=4):
     full = np.concatenate([flat, np.repeat(flat[-1:], -len(flat) % BATCH, axis=0)])
     arrays = drive_arrays(drive)
     parts = [
-        np.asarray(_responses(model, order, full[i : i + BATCH], arrays))
+        np.asarray(_responses((model, order), full[i : i + BATCH], arrays))
         for i in range(0, len(full), BATCH)
     ]
     return np.concatenate(parts)[: len(flat)].reshape(*values.shape[:-1], -1)
 
 
-@partial(jax.jit, static_argnums=(0, 1))
-def _responses(model, order, thetas, arrays):
+@quickly_compiled
+def _responses(kind, thetas, arrays):
+    model, order = kind
     return jax.vmap(lambda theta: integrate(model, theta, arrays, 1, order))(thetas)
