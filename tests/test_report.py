@@ -64,6 +64,7 @@ def test_a_larger_torque_tells_springs_apart_better(quiet_study):
         model=cubic,
         values=shared,
         free=cubic.parameter_names,
+        scheme=None,
     )
     rival = study.fit(KBI() + EFFECTS["quadratic_stiffness"]())
     pair = ("cubic_stiffness", "quadratic_stiffness")
