@@ -98,6 +98,8 @@ def test_inertia_beside_friction_is_recovered(rate):
     assert found.failure == ""
     assert found.values["I"] == pytest.approx(I, rel=0.02)
     assert found.solver_error < 1e-5
+    # No finer than needed, whatever was passed through.
+    assert found.scheme.substeps <= 32
     # As one step a sample has it, the true joint is far from its own trials.
     coarse = bench.problem(FRICTIONAL, bench.split.fitted, scheme=Scheme(1, 2))
     fine = bench.problem(FRICTIONAL, bench.split.fitted, scheme=found.scheme)

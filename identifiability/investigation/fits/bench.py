@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -200,6 +200,13 @@ class Workbench:
                     break
             else:
                 raise InputError(_too_fast(problem))
+            asked = replace(self._apriori(model, reached[:1]), order=problem.integration.order)
+            if thorough and problem.integration.is_finer_than(asked):
+                # A fit on its way may have asked for more than its end needs.
+                coarser = problem.with_scheme(asked)
+                less = self._checked(coarser, reached[0], thorough)
+                if less[1] is not None and less[1] <= self._tolerance:
+                    problem, (parts, moved) = coarser, less
             fitted, held_out = parts
             if fitted.weighted >= _DIVERGED:
                 raise InputError("the best response found is not finite")
