@@ -102,7 +102,7 @@ def test_a_tendon_that_hardly_shows_is_found_along_its_ridge():
 
 
 def test_a_delay_is_found_beyond_the_next_ripple():
-    """Shaken at 20 and 27 Hz the reflex is in step every 40 to 50 ms; its cost ripples by samples."""
+    """Shaken at 20 and 27 Hz: waves of 40 to 50 ms along the delay, and ripples of a sample."""
     true = {"delay": 0.033, "time_constant": 0.01}
     bench, _, free = fitted("stretch_reflex", "angle", true, shape=SHAKEN)
     gains = gains_when_held(bench, free)
