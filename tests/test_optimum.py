@@ -17,17 +17,17 @@ TIME = np.arange(300) / 500
 JOINT = {"K": 30.0, "B": 1.0, "I": 0.1}
 PULSE = np.where((TIME > 0.06) & (TIME < 0.16), np.sin(np.pi * (TIME - 0.06) / 0.1) ** 2, 0.0)
 SHIFTED = np.where((TIME > 0.3) & (TIME < 0.5), np.sin(np.pi * (TIME - 0.3) / 0.2) ** 2, 0.0)
+SHAKEN = np.sin(2 * np.pi * 20 * TIME) + np.sin(2 * np.pi * 27 * TIME + 1)
 TOLERANCE = 0.1  # nats of the noise
 # Friction's smoothing speed is passed within a step, which leaves its cost rough.
 ROUGH = {"coulomb_friction": 0.2}
 
 
-def trials(model, values, driven, seed=1, noise=0.01):
+def trials(model, values, driven, noise=0.01, shape=PULSE - 0.6 * SHIFTED, seed=1):
     rng = np.random.default_rng(seed)
     theta, out = model.vector(values), []
     for i, size in enumerate((1.0, -2.0)):
-        shape = size * (PULSE - 0.6 * SHIFTED)
-        torque, angle = 8 * shape, 0.1 * shape
+        torque, angle = 8 * size * shape, 0.1 * size * shape
         substeps = None if model.linear else 4
         if driven == "torque":
             angle = simulate(model, theta, SampledTorque(torque).drive(TIME), substeps=substeps)
@@ -40,12 +40,12 @@ def trials(model, values, driven, seed=1, noise=0.01):
     return out
 
 
-def fitted(key, driven, **changes):
+def fitted(key, driven, changes=None, **experiment):
     """The search's own fit of an effect to trials of a joint that has it."""
     model = KBI() + EFFECTS[key]()
     nominal = dict(zip(model.parameter_names, model.nominal, strict=True))
-    values = nominal | JOINT | {f"{key}.{name}": value for name, value in changes.items()}
-    data = trials(model, values, driven)
+    values = nominal | JOINT | {f"{key}.{name}": value for name, value in (changes or {}).items()}
+    data = trials(model, values, driven, **experiment)
     study = Investigation(data[:1], data[1:], library={key: EFFECTS[key]}, lowpass_hz=None)
     kbi = study.fit(KBI())
     return study.bench, kbi, Fitter(study.bench, kbi).fit(model, kbi)
@@ -92,3 +92,19 @@ def test_nor_where_the_motion_is_imposed(key):
     bench, _, free = fitted(key, "angle")
     gains = gains_when_held(bench, free)
     assert max(gains.values()) < TOLERANCE, gains
+
+
+def test_a_tendon_that_hardly_shows_is_found_along_its_ridge():
+    """K, B and a stiff tendon make up for each other along a long curved ridge."""
+    bench, _, free = fitted("series_tendon", "torque", {"stiffness": 750.0}, noise=1e-3)
+    gains = gains_when_held(bench, free)
+    assert max(gains.values()) < TOLERANCE, gains
+
+
+def test_a_delay_is_found_beyond_the_next_ripple():
+    """Shaken at 20 and 27 Hz: waves of 40 to 50 ms along the delay, and ripples of a sample."""
+    true = {"delay": 0.033, "time_constant": 0.01}
+    bench, _, free = fitted("stretch_reflex", "angle", true, shape=SHAKEN)
+    gains = gains_when_held(bench, free)
+    assert max(gains.values()) < TOLERANCE, gains
+    assert free.values["stretch_reflex.delay"] == pytest.approx(true["delay"], abs=2e-3)

@@ -1,7 +1,8 @@
 """Delays are profiled: the others of a model are fitted at delays over their whole range.
 
-The cost is wavy along a delay, as what is delayed falls into step with the motion or out of it, and
-least squares from a few starts ends in the wave where it began.
+The cost is wavy along a delay, as what is delayed falls into step with the motion or out of it,
+with ripples from sample to sample; least squares from a few starts ends in the wave and the ripple
+where it began.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from identifiability.inference.fitting import Fit, explore
 from identifiability.inference.problem import Problem
 
 _POINTS = 12  # 20 % apart for a reflex
+_NEAR = np.array([0.5, 1.0, 1.5, 2.0])  # samples from the best
 _POLISHED = 2
 
 
@@ -45,7 +47,15 @@ def delays_profiled(problem: Problem, best: Fit, *, evaluations: int) -> Fit:
 def _profiled(problem: Problem, best: Fit, index: int, evaluations: int) -> Fit:
     lower, upper = problem.lower[index], problem.upper[index]
     space = np.geomspace if lower > 0 else np.linspace
-    grid = space(lower, upper, _POINTS)
+    best = _taken_up(problem, best, index, space(lower, upper, _POINTS), evaluations)
+    # Then about the best: from sample to sample the cost has ripples too.
+    here = best.values[index]
+    near = here + problem.observations[0].drive.interval * np.concatenate([-_NEAR[::-1], _NEAR])
+    return _taken_up(problem, best, index, np.clip(near, lower, upper), evaluations)
+
+
+def _taken_up(problem: Problem, best: Fit, index: int, grid: np.ndarray, evaluations: int) -> Fit:
+    """The fit, or a better one from the best places of the profile over a grid."""
     here = best.values[index]
     points, heights = [best.values], [-best.cost]
     for side in (grid[grid > here], grid[grid < here][::-1]):
