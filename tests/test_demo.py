@@ -2,14 +2,25 @@
 
 import json
 import re
+from functools import partial
 
 import pytest
 
 from identifiability.cli.main import main
+from identifiability.investigation.investigate import investigate
+from identifiability.joint.effects import EFFECTS
 from identifiability.measurement.example import B_CE, INERTIA, K_CE, K_SE
 
+# One of each place; all effects compete in the benchmark's cases.
+RIVALS = ("coulomb_friction", "maxwell_branch", "sensor_delay", "series_tendon")
 
-def test_the_demo_finds_the_joint_that_was_made(tmp_path, capfd):
+
+def test_the_demo_finds_the_joint_that_was_made(tmp_path, capfd, monkeypatch):
+    library = {key: EFFECTS[key] for key in RIVALS}
+    monkeypatch.setattr(
+        "identifiability.investigation.investigate.investigate",
+        partial(investigate, library=library),
+    )
     out = tmp_path / "demo"
     assert main(["demo", "--out", str(out)]) == 0
     said = capfd.readouterr().out
@@ -23,5 +34,10 @@ def test_the_demo_finds_the_joint_that_was_made(tmp_path, capfd):
         assert float(shown) == true
         # The noise leaves each parameter an uncertainty of some tenths of a per cent.
         assert float(value) == pytest.approx(true, rel=0.01)
+    # A good fit, whose windows contradict each other.
+    recording = json.loads((out / "trials" / "fit.json").read_text())
+    assert recording["vaf"] > 98
+    K = {w["T"]: w["parameters"]["K"]["posterior_95"] for w in recording["windows"]}
+    assert K[0.1][0] > K[0.2][1]
     assert (out / "investigation" / "report.html").stat().st_size > 10_000
     assert {p.name for p in out.iterdir()} == {"T50", "T100", "T200", "trials", "investigation"}
