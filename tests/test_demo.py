@@ -11,8 +11,8 @@ from identifiability.investigation.investigate import investigate
 from identifiability.joint.effects import EFFECTS
 from identifiability.measurement.example import B_CE, INERTIA, K_CE, K_SE
 
-# One of each place; all effects compete in the benchmark's cases.
-RIVALS = ("coulomb_friction", "maxwell_branch", "sensor_delay", "series_tendon")
+# All effects compete in the benchmark's cases. A Maxwell branch would be of the tendon's form.
+RIVALS = ("coulomb_friction", "sensor_delay", "series_tendon")
 
 
 def test_the_demo_finds_the_joint_that_was_made(tmp_path, capfd, monkeypatch):
@@ -24,9 +24,9 @@ def test_the_demo_finds_the_joint_that_was_made(tmp_path, capfd, monkeypatch):
     out = tmp_path / "demo"
     assert main(["demo", "--out", str(out)]) == 0
     said = capfd.readouterr().out
-    assert "The model misses a tendon in series with the muscle" in said
     found = json.loads((out / "investigation" / "investigation.json").read_text())
     assert found["verdict"]["kind"] == "explained"
+    assert found["verdict"]["effects"] == ["series_tendon"]
     assert found["steps"][-1]["error_held_out"] < 0.02 * found["baseline"]["error_held_out"]
     truth = {"K": K_CE, "B": B_CE, "I": INERTIA, "series_tendon.stiffness": K_SE}
     for name, true in truth.items():
