@@ -19,13 +19,8 @@ settings.register_profile("search", deadline=None, max_examples=500)
 settings.load_profile("repeatable")
 
 
-@pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(config, items):
-    """Keep the tests of a file in one worker; skip tests marked long unless they are asked for."""
-    # They share fixtures and compiled programs, of which every worker else has its own.
-    for item in items:
-        if not item.get_closest_marker("xdist_group"):
-            item.add_marker(pytest.mark.xdist_group(item.path.stem))
+    """Skip tests marked long unless they are asked for."""
     if "long" in config.getoption("markexpr"):
         return
     skip = pytest.mark.skip(reason="takes minutes; run it with -m long")

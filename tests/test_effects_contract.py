@@ -49,8 +49,7 @@ STABLE = {
 }
 
 
-# Programs of one effect are compiled in one worker.
-@pytest.fixture(params=[pytest.param(k, marks=pytest.mark.xdist_group(k)) for k in sorted(KINDS)])
+@pytest.fixture(params=sorted(KINDS))
 def effect(request):
     return KINDS[request.param]()
 
@@ -231,7 +230,7 @@ def _team(key):
 TEAMS = {team: [key for key in sorted(KINDS) if _team(key) == team] for team in map(_team, KINDS)}
 
 
-@pytest.fixture(params=[pytest.param(t, marks=pytest.mark.xdist_group(t)) for t in sorted(TEAMS)])
+@pytest.fixture(params=sorted(TEAMS))
 def team(request):
     return request.param
 
@@ -267,7 +266,6 @@ def test_derivatives_are_right(team, driven):
     assert np.all(np.max(np.abs(found[:, 3:]), axis=0) > 1e-7 * np.max(np.abs(found)))
 
 
-@pytest.mark.xdist_group("linear")
 def test_integrated_and_exact_responses_agree(driven):
     model, drive = joint("linear"), DRIVES[driven]
     values = values_of(model)

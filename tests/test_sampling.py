@@ -14,8 +14,6 @@ from identifiability.inference.curvature import curvature
 from identifiability.inference.proposals import StudentMixture, laplace_t
 from identifiability.inference.sampling import sample
 
-pytestmark = pytest.mark.xdist_group("cases")
-
 # Truncated by a bound and curved, so that a wrong sampler has something to get wrong.
 REFERENCE = Case(32, 3.2, 100, 0.1)
 GAUSSIAN = Case(32, 3.2, 100, 0.1, "energy")

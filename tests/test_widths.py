@@ -14,7 +14,6 @@ from identifiability.inference.sampling import Posterior, sample
 from identifiability.inference.widths import VERDICTS, judge, widths
 from identifiability.provenance import package_version
 
-pytestmark = pytest.mark.xdist_group("cases")
 AGREEING = [case for case, verdicts in SPREAD.items() if verdicts == (A, A, A)]
 DEPARTING = [case for case in SPREAD if case not in AGREEING]
 TRUNCATED = Case(32, 3.2, 100, 0.05)
