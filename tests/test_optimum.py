@@ -5,8 +5,8 @@ import pytest
 
 from identifiability.inference.conditional import one_by_one
 from identifiability.investigation.fits.bench import Workbench
-from identifiability.investigation.investigate import Investigation
 from identifiability.investigation.search.fitter import Fitter
+from identifiability.investigation.session import Investigation
 from identifiability.joint.effects import EFFECTS
 from identifiability.joint.model import KBI
 from identifiability.joint.response import simulate
@@ -28,11 +28,10 @@ def trials(model, values, driven, noise=0.01, shape=PULSE - 0.6 * SHIFTED, seed=
     theta, out = model.vector(values), []
     for i, size in enumerate((1.0, -2.0)):
         torque, angle = 8 * size * shape, 0.1 * size * shape
-        substeps = None if model.linear else 4
         if driven == "torque":
-            angle = simulate(model, theta, SampledTorque(torque).drive(TIME), substeps=substeps)
+            angle = simulate(model, theta, SampledTorque(torque).drive(TIME))
         else:
-            torque = simulate(model, theta, imposed_motion(TIME, angle), substeps=substeps)
+            torque = simulate(model, theta, imposed_motion(TIME, angle))
         response = angle if driven == "torque" else torque
         noisy = response + noise * np.std(response) * rng.standard_normal(response.size)
         torque, angle = (torque, noisy) if driven == "torque" else (noisy, angle)
@@ -53,8 +52,10 @@ def fitted(key, driven, changes=None, **experiment):
 
 def gains_when_held(bench: Workbench, candidate):
     """How much better [nats] fits are that hold one parameter about where the free fit has it."""
-    problem = bench.problem(candidate.model, bench.split.fitted, refined=candidate.refined)
-    best = candidate.model.vector(candidate.values)[list(problem.free)]
+    problem = bench.problem(
+        candidate.model, bench.split.fitted, refined=candidate.refined, scheme=candidate.scheme
+    )
+    best = problem.free_vector(candidate.values)
     residuals, jacobian = problem.residuals(best), problem.jacobian(best)
     cost = 0.5 * residuals @ residuals
     # The weights are not the noise, which is what the fit leaves.

@@ -2,8 +2,7 @@
 
 import pytest
 
-from identifiability.investigation.investigate import Investigation
-from identifiability.investigation.search.gate import does_as_well
+from identifiability.investigation.session import Investigation
 from identifiability.joint.effects import EFFECTS
 from identifiability.joint.model import KBI
 from identifiability.measurement.filtering import noise_cutoff
@@ -24,9 +23,9 @@ def test_the_silverbox_has_a_cubic_spring_and_neither_a_quadratic_one_nor_fricti
     )
     # The torque grows from nothing: what precedes the first onset is motion, not noise.
     assert not study.split.has_noise
-    found = study.search(study.fit(KBI()))
+    found = study.search()
     assert found.final.keys == ("cubic_stiffness",)
-    assert not any(r.passes for r in found.steps[0].ranking if r.key != "cubic_stiffness")
+    assert not any(r.passes for r in found.rankings[0].ranked if r.key != "cubic_stiffness")
     assert found.baseline.held_out.error > 0.02
     assert found.final.held_out.error < 0.0005
     assert found.final.values["cubic_stiffness.coefficient"] == pytest.approx(3.94, rel=0.02)
@@ -44,19 +43,16 @@ def test_the_pendulum_has_gravity_then_friction_then_a_shift_of_the_channels(sha
     study = Investigation([record])
     # A swing-up: the second half goes over the top, the first swings by half a radian.
     assert "first half" in study.split.how_held_out
-    found = study.search(study.fit(KBI()))
+    found = study.search()
     # Friction and a damping that saturates are nearly one curve; springs are not gravity.
-    first, second, third = (key for key, _ in found.ladder)
+    first, second, third = (m.key for m in found.missing)
     friction = {"coulomb_friction", "hill_force_velocity"}
     assert (first, second in friction, third) == ("gravity", True, "sensor_delay")
-    as_well = {
-        key: {r.key for r in ranked if not r.candidate.failure and does_as_well(r, found.final)}
-        for key, ranked in found.alternatives.items()
-    }
+    as_well = {m.key: {r.key for r in m.equals if r.key not in m.near} for m in found.missing}
     assert not as_well[first]
     assert friction <= {second} | as_well[second]
     assert not as_well[third]
-    rungs = [found.baseline, *(rung for _, rung in found.ladder)]
+    rungs = found.ladder
     fitted = [100 * (1 - rung.fitted.error) for rung in rungs]
     assert fitted == pytest.approx([57.6, 96.4, 96.7, 97.6], abs=0.3)  # K may not be negative
     held_out = [100 * (1 - rung.held_out.error) for rung in rungs]

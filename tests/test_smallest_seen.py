@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from identifiability.investigation.investigate import Investigation
 from identifiability.investigation.search.smallest_seen import detectable
+from identifiability.investigation.session import Investigation
 from identifiability.joint.effects import EFFECTS
 from identifiability.joint.model import KBI
 from identifiability.joint.response import simulate
@@ -25,7 +25,7 @@ def trials(model, values, rng, conditions):
     for i, (kind, size) in enumerate(conditions):
         torque = size * (TIME > 0.05) * ((TIME <= 0.1) | (kind == "step"))
         drive = SampledTorque(torque).drive(TIME)
-        angle = simulate(model, model.vector(values), drive, substeps=None if model.linear else 2)
+        angle = simulate(model, model.vector(values), drive)
         noisy = angle + NOISE * np.sqrt(np.mean(angle**2)) * rng.standard_normal(angle.size)
         out.append(Trial(TIME, torque, noisy, name=f"t{i}", condition=kind))
     return out
@@ -41,7 +41,7 @@ def admitted(key, values, seed):
     """Whether the search admits an effect of these values under one draw of the noise."""
     kind = EFFECTS[key]
     study = study_of(KBI() + kind(), values, seed, {key: kind})
-    return study.rank(study.fit(KBI())).ranking[0].passes
+    return study.rank(study.fit(KBI())).ranked[0].passes
 
 
 def weaker(one, factor):

@@ -27,7 +27,7 @@ GLANCE, THOROUGH, FURTHER = 10, 60, 200
 """Evaluations from each start: to see whether a candidate is worth more, to finish it, and for the
 best two where that did not suffice."""
 _KEPT, _NEAR = 2, 2.0  # starts that are carried on: so many, at most so many times the best cost
-_MOST_AT_A_GLANCE = 16  # steps a sample: extreme parameters are passed through, not reached
+_FINEST_START = Scheme(4)  # extreme starts are passed through; where a fit ends is checked
 _ROUNDS = 6  # fits at most, each with the scheme that the one before asked for
 _DIVERGED = 1e100  # stands for a response without bound; its squares can still be summed
 
@@ -185,6 +185,8 @@ class Workbench:
         try:
             reached: Sequence[Mapping[str, float]] = starts
             wanted = self._apriori(model, starts)
+            if wanted.is_finer_than(_FINEST_START):
+                wanted = _FINEST_START
             for _ in range(_ROUNDS):
                 problem = self.problem(model, self.split.fitted, refined=refined, scheme=wanted)
                 points = np.array([problem.free_vector(s) for s in reached])
@@ -195,7 +197,7 @@ class Workbench:
                     best = explore(problem, points, evaluations=GLANCE)
                 reached = _distinct(model, problem, best)
                 parts, moved = self._checked(problem, reached[0], thorough)
-                wanted = self._wanted(problem, reached[0], moved)
+                wanted = self._wanted(problem, moved)
                 if not wanted.is_finer_than(problem.integration):
                     break
             else:
@@ -267,8 +269,8 @@ class Workbench:
                 errors.append(float(np.mean(change)))
         return (left[0], left[1]), max(errors) if thorough else None
 
-    def _wanted(self, problem: Problem, values: Mapping[str, float], error: float | None) -> Scheme:
-        """Scheme that a fit asks for at the place that it reached.
+    def _wanted(self, problem: Problem, error: float | None) -> Scheme:
+        """Scheme that a fit asks for, by the error of the one that it was made with.
 
         Raises
         ------
@@ -276,17 +278,12 @@ class Workbench:
             Where there is none fine enough.
         """
         scheme = problem.integration
-        asked = self._apriori(problem.model, [values])
-        if error is None and asked.substeps > _MOST_AT_A_GLANCE:
-            asked = Scheme(_MOST_AT_A_GLANCE)
-        wanted = asked if asked.is_finer_than(scheme) else scheme
         # What overflows is a failure of another kind.
-        if error is not None and np.isfinite(error) and error > self._tolerance:
-            if scheme.finest:
-                raise InputError(_too_fast(problem))
-            better = scheme.improved(error / self._tolerance)
-            wanted = better if better.is_finer_than(wanted) else wanted
-        return wanted
+        if error is None or not np.isfinite(error) or error <= self._tolerance:
+            return scheme
+        if scheme.finest:
+            raise InputError(_too_fast(problem))
+        return scheme.improved(error / self._tolerance)
 
     @property
     def _tolerance(self) -> float:

@@ -12,6 +12,7 @@ from jax.typing import ArrayLike
 from identifiability.joint.effects.base import Effect, Motion
 from identifiability.joint.parameters import Parameter
 
+_TYPICAL_VELOCITY = 1.0  # rad/s
 _TYPICAL = 0.05  # rad, a stretch that tendons undergo
 
 
@@ -81,10 +82,15 @@ class NonlinearTendon(Effect):
         return stiffness * motion.angle * (odd + asymmetry * even)
 
     def pace(self, values: Mapping[str, float]) -> float:
-        """Rate by which a typical stretch quickens the muscle behind the tendon."""
+        """Rate by which a typical stretch quickens the muscle behind the tendon.
+
+        The tendon bears what the muscle does: the stiffer it is the less it is stretched.
+        """
         stiffness, hardening = values[f"{self.key}.stiffness"], values[f"{self.key}.hardening"]
-        hardened = math.cosh(min(hardening * _TYPICAL, 30.0)) - 1
-        return hardened * stiffness * (1 / max(values["B"], 1e-9))
+        borne = values["K"] * _TYPICAL + values["B"] * _TYPICAL_VELOCITY
+        stretch = min(_TYPICAL, borne / stiffness)
+        hardened = math.cosh(min(hardening * stretch, 30.0)) - 1
+        return hardened * stiffness / max(values["B"], 1e-9)
 
 
 def _sinhc(x: Array) -> Array:
