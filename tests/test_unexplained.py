@@ -6,7 +6,6 @@ import pytest
 from identifiability.benchmark.cases import hidden_cases
 from identifiability.investigation.fits.bench import Workbench
 from identifiability.investigation.rules import Rules
-from identifiability.investigation.search.fitter import baseline
 from identifiability.investigation.split import gather
 from identifiability.investigation.unexplained.account import Unexplained, unexplained
 from identifiability.investigation.unexplained.explanation import Family
@@ -36,7 +35,7 @@ def left_of(model, values, seed=1, noise=3e-3, vary=0.0, drift=0.0):
         angle = angle + drift * size_of * rng.standard_normal() * TIME**2
         trials.append(Trial(TIME, torque, angle, name=f"t{i}", condition=kind))
     bench = Workbench(gather(trials, trials[:1]))
-    found = baseline(bench, KBI(), JOINT)
+    found = bench.fit(KBI(), [JOINT])
     return unexplained(bench, found)
 
 
@@ -81,7 +80,7 @@ def test_the_missing_torque_is_the_one_that_is_missing():
     """Cubic stiffness of an independent simulator: the torque by angle, but for a linear part."""
     case = next(s for s in hidden_cases("singles", 3) if s.keys == ("cubic_stiffness",)).build()
     bench = Workbench(gather(case.fit, case.held_out))
-    found = baseline(bench, KBI(), JOINT)
+    found = bench.fit(KBI(), [JOINT])
     rest = unexplained(bench, found)
     assert rest.best.kind == "static"
     angles = np.concatenate([r.compared for r in bench.split.fitted])

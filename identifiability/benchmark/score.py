@@ -61,8 +61,9 @@ class Score:
     warnings: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain record, for JSON."""
-        return asdict(self)
+        """Plain record, for JSON; warnings where there are any."""
+        plain = asdict(self)
+        return plain if self.warnings else {k: v for k, v in plain.items() if k != "warnings"}
 
     @classmethod
     def from_dict(cls, plain: Mapping[str, Any]) -> Score:
