@@ -28,7 +28,8 @@ def test_the_silverbox_has_a_cubic_spring_and_neither_a_quadratic_one_nor_fricti
     assert not any(r.passes for r in found.rankings[0].ranked if r.key != "cubic_stiffness")
     assert found.baseline.held_out.error > 0.02
     assert found.final.held_out.error < 0.0005
-    assert found.final.values["cubic_stiffness.coefficient"] == pytest.approx(3.94, rel=0.02)
+    # By fine steps 3.782; by one second-order step a sample 3.94.
+    assert found.final.values["cubic_stiffness.coefficient"] == pytest.approx(3.782, rel=0.01)
 
 
 def test_the_pendulum_has_gravity_then_friction_then_a_shift_of_the_channels(shared_data):
@@ -49,7 +50,9 @@ def test_the_pendulum_has_gravity_then_friction_then_a_shift_of_the_channels(sha
     friction = {"coulomb_friction", "hill_force_velocity"}
     assert (first, second in friction, third) == ("gravity", True, "sensor_delay")
     as_well = {m.key: {r.key for r in m.equals if r.key not in m.near} for m in found.missing}
-    assert not as_well[first]
+    # A spring that hardens predicts the other half worse, but with both fitted it does as well.
+    assert as_well[first] <= {"cubic_stiffness"}
+    assert found.missing[0].name == "gravity"
     assert friction <= {second} | as_well[second]
     assert not as_well[third]
     rungs = found.ladder
