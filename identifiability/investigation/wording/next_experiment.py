@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from identifiability.investigation.next_experiment import NextExperiment
+from identifiability.investigation.wording.verdict import plain
 
 
 def next_experiment_sentence(following: NextExperiment) -> str:
     """Which perturbation to use, and what it would bring."""
-    first, second = (key.replace("_", " ") for key in following.pair)
+    first, second = map(plain, following.pair)
     best, needed = following.best, following.needed
     if following.resolved:
         return (

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from identifiability.investigation.verdict.pinned import Loose
+from identifiability.investigation.wording.verdict import plain
 from identifiability.joint.parameters import with_unit
 
 
 def loose_sentence(loose: Loose) -> str:
     """How a parameter is left open."""
-    name = loose.name.replace("_", " ")
+    name = plain(loose.name)
     upper = with_unit(f"{loose.high:.3g}", loose.unit)
     if loose.how == "nothing":
         return f"{name} is small, or nothing at all: at most {upper} (95 %)."

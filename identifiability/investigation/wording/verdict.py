@@ -110,8 +110,11 @@ def _described(findings: Findings) -> str:
 
 
 def _reason(reason: Reason, findings: Findings) -> str:
-    if reason.kind in _ALONE:
-        return _ALONE[reason.kind]
+    if reason.kind == "only a part":
+        return (
+            "Named effects that remove only a part may stand for something else: treat them as a "
+            "clue."
+        )
     if reason.kind == "errors":
         return _errors(reason, findings)
     if reason.kind == "removes in turn":
@@ -143,12 +146,6 @@ def _reason(reason: Reason, findings: Findings) -> str:
         "form of no sensor": _no_sensor,
         "description": _description,
     }[reason.kind](reason, first, others, findings)
-
-
-_ALONE = {
-    "only a part": "Named effects that remove only a part may stand for something else: treat them "
-    "as a clue.",
-}
 
 
 def _errors(reason: Reason, findings: Findings) -> str:
