@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from identifiability.benchmark.cases import hidden_cases
-from identifiability.benchmark.record import benchmark_record
+from identifiability.benchmark.record import benchmark_record, recorded_scores
 from identifiability.benchmark.run import WHOLE, run_benchmark, score
 from identifiability.benchmark.score import NAMING, Score, outcome_of
 from identifiability.errors import InputError
@@ -191,6 +191,21 @@ def test_scores_of_other_code_are_not_read(tmp_path, calls, monkeypatch):
     _, outcomes = run_here(tmp_path, tiers=("nulls",), seeds=(1,), every=25)
     assert not any(o.resumed for o in outcomes)
     assert len(calls) == 2 * len(outcomes)
+
+
+def test_cases_of_a_record_by_this_code_are_not_judged_again(tmp_path, calls, monkeypatch):
+    scores, _ = run_here(None)
+    path = tmp_path / "investigation.json"
+    path.write_text(json.dumps(benchmark_record(scores, tried=100), allow_nan=False))
+    known, n_calls = recorded_scores(path), len(calls)
+    assert known == scores
+    # A third seed is judged, and what failed is tried again.
+    again, outcomes = run_here(None, seeds=(1, 7, 9), known=known)
+    assert {seed: again[seed] for seed in (1, 7)} == scores
+    assert {seed for *_, seed in calls[n_calls:]} == {1, 7, 9}
+    assert len(outcomes) == len(again[9]) + sum(s.outcome == "failed" for s in known[1] + known[7])
+    monkeypatch.setattr("identifiability.provenance.code_fingerprint", lambda *modules: "other")
+    assert recorded_scores(path) == {}
 
 
 def test_seeds_stand_side_by_side(calls):

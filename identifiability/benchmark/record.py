@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from identifiability.benchmark.score import OUTCOMES, Score, wilson
-from identifiability.provenance import stamp
+from identifiability.provenance import read_record, stamp
 
 SCHEMA = 2
 
@@ -39,6 +40,25 @@ def benchmark_record(scores: Mapping[int, Sequence[Score]], *, tried: int) -> di
             for seed, of_seed in scores.items()
         ],
         "together": _tiers(everything),
+    }
+
+
+def recorded_scores(path: Path) -> dict[int, list[Score]]:
+    """Scores of a record that this code made, by seed; none where there is no such record.
+
+    Parameters
+    ----------
+    path : Path
+        Of the record, a JSON file.
+    """
+    if not path.is_file():
+        return {}
+    stored = read_record(path)
+    if stored.remark or stored.record.get("schema") != SCHEMA:
+        return {}
+    return {
+        run["seed"]: [Score.from_dict(case) for case in run["cases"]]
+        for run in stored.record["runs"]
     }
 
 

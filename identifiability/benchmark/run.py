@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from pathlib import Path
 
@@ -29,6 +29,7 @@ def run_benchmark(
     workers: int | None = None,
     executor: Callable[[], Executor] | None = None,
     progress: bool = True,
+    known: Mapping[int, Sequence[Score]] | None = None,
 ) -> tuple[dict[int, list[Score]], list[Outcome]]:
     """Investigate every case of some tiers; what was done before is not done again.
 
@@ -43,19 +44,33 @@ def run_benchmark(
         Take every so-many-th case.
     workers, executor, progress
         See `sweep`.
+    known : mapping of int to sequence of Score, optional
+        By seed, of cases that this code has judged before, such as those of a record: they are not
+        judged again, unless they failed.
 
     Returns
     -------
     scores : dict of int to list of Score
         By seed, in the order of the tiers; a case without a result is there as "failed".
     outcomes : list of Outcome
-        What became of each case as a task.
+        What became of each case that was not known.
     """
-    tasks = {
-        f"{spec.name}, seed {seed}": (tier, spec)
+    asked = {
+        (tier, spec.name, seed): spec
         for seed in seeds
         for tier in tiers
         for spec in hidden_cases(tier, seed)[::every]
+    }
+    there = {
+        (s.tier, s.name, seed): s
+        for seed, of_seed in (known or {}).items()
+        for s in of_seed
+        if not s.failure
+    }
+    tasks = {
+        f"{name}, seed {seed}": (tier, spec)
+        for (tier, name, seed), spec in asked.items()
+        if (tier, name, seed) not in there
     }
     outcomes = sweep(
         scored,
@@ -68,9 +83,12 @@ def run_benchmark(
         progress=progress,
     )
     scores: dict[int, list[Score]] = {seed: [] for seed in seeds}
-    for name, (tier, spec) in tasks.items():
-        found = outcomes[name]
-        scores[spec.seed].append(
+    for (tier, name, seed), spec in asked.items():
+        if (tier, name, seed) in there:
+            scores[seed].append(there[tier, name, seed])
+            continue
+        found = outcomes[f"{name}, seed {seed}"]
+        scores[seed].append(
             failed(tier, spec, found.cause)
             if found.arrays is None
             else Score.from_dict(json.loads(str(found.arrays["score"])))

@@ -24,7 +24,8 @@ def add_parser(commands: Any) -> None:
         description="solver: integrate every non-linear effect at many sampling rates, and compare "
         "with far finer steps. investigation: simulate joints with hidden effects by an "
         "independent simulator, investigate each, and count what was found. An interrupted "
-        "run goes on where it was when the same command is typed again.",
+        "run goes on where it was when the same command is typed again; cases that the record in "
+        "the folder has, by the same code, are not judged again.",
     )
     parser.add_argument("what", choices=("investigation", "solver"), help="what is judged")
     parser.add_argument(
@@ -77,7 +78,7 @@ def _run_investigation(options: argparse.Namespace) -> int:
     if options.every < 1:
         raise InputError(f"found --every {options.every}, expected 1 or more")
     from identifiability.benchmark.cases import hidden_cases
-    from identifiability.benchmark.record import benchmark_record
+    from identifiability.benchmark.record import benchmark_record, recorded_scores
     from identifiability.benchmark.run import WHOLE, run_benchmark
     from identifiability.files import output_folder, write_json, write_text
     from identifiability.plots.benchmark import confusion_figure
@@ -89,7 +90,12 @@ def _run_investigation(options: argparse.Namespace) -> int:
     out = output_folder(options.out)
     cells = out / "investigation.cells"
     scores, outcomes = run_benchmark(
-        tiers, cells, seeds=seeds, every=options.every, workers=options.workers
+        tiers,
+        cells,
+        seeds=seeds,
+        every=options.every,
+        workers=options.workers,
+        known=recorded_scores(out / "investigation.json"),
     )
     tried = sum(len(hidden_cases(tier, seed)) for tier in tiers for seed in seeds)
     record = benchmark_record(scores, tried=tried)

@@ -45,7 +45,7 @@ def starting_values(
             grids.append([p.null + 0.01 * (p.nominal - p.null)])
         elif p.null is not None:
             grids.append([3 * known["K"] + 1.0, 10 * known["K"] + 1.0])
-        elif p.lower > 0 and p.upper / p.lower > 10:
+        elif p.lower >= 0 and p.upper > 10 * p.lower:
             grids.append([float(np.clip(f * p.nominal, p.lower, p.upper)) for f in _FACTORS])
         else:
             grids.append([p.lower + s * (p.upper - p.lower) for s in (0.5, 0.25, 0.75)])
