@@ -20,13 +20,14 @@ settings.load_profile("repeatable")
 
 
 def pytest_collection_modifyitems(config, items):
-    """Skip tests marked long unless they are asked for."""
-    if "long" in config.getoption("markexpr"):
-        return
-    skip = pytest.mark.skip(reason="takes minutes; run it with -m long")
-    for item in items:
-        if item.get_closest_marker("long"):
-            item.add_marker(skip)
+    """Skip tests that take minutes unless they are asked for."""
+    for apart in ("long", "recordings"):
+        if apart in config.getoption("markexpr"):
+            continue
+        skip = pytest.mark.skip(reason=f"takes minutes; run it with -m {apart}")
+        for item in items:
+            if item.get_closest_marker(apart):
+                item.add_marker(skip)
 
 
 @pytest.fixture(scope="session")

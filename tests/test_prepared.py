@@ -66,7 +66,11 @@ def test_the_levels_taken_off_are_told():
     np.testing.assert_allclose(ready.drive.signals[:, 0], trial.torque + 2.0, atol=1e-12)
     assert len(ready.trial.notes) == 1
     (imposed,) = prepare([servo()], lowpass_hz=30.0)
-    assert imposed.treatment.level_of == "record"
+    # About the posture that it starts from; the level of the torque stays unknown.
+    assert imposed.treatment.level_of == "lead"
+    assert imposed.treatment.angle == pytest.approx(servo().angle[0], abs=1e-3)
+    assert imposed.drive.signals[0, 0] == pytest.approx(0.0, abs=1e-3)
+    assert imposed.has_offset
     assert imposed.treatment.lowpass_hz == 30.0
     assert imposed.treatment.decimation == 2
     assert imposed.interval == pytest.approx(2 / 400)

@@ -8,6 +8,8 @@ from identifiability.joint.model import KBI
 from identifiability.measurement.filtering import noise_cutoff
 from identifiability.measurement.readers import parse_columns, read_trial
 
+pytestmark = pytest.mark.recordings
+
 
 def test_the_silverbox_has_a_cubic_spring_and_neither_a_quadratic_one_nor_friction(shared_data):
     record = read_trial(

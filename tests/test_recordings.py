@@ -198,6 +198,7 @@ def test_correlation_time_of_known_noise(time):
 # Pieces of recordings; whole ones on demand.
 
 
+@pytest.mark.recordings
 @pytest.mark.filterwarnings("ignore::UserWarning")
 @pytest.mark.parametrize(
     ("samples", "vaf", "inertia"),
@@ -220,6 +221,7 @@ def test_ankle(shared_data, tmp_path, samples, vaf, inertia):
     assert inertia[0] < held_out["parameters"]["I"] < inertia[1]
 
 
+@pytest.mark.recordings
 @pytest.mark.filterwarnings("ignore::UserWarning")
 @pytest.mark.parametrize("samples", [500, pytest.param(None, marks=pytest.mark.long)])
 def test_pendulum(shared_data, tmp_path, samples):

@@ -75,8 +75,8 @@ class Rules:
         value is then known to a factor of three at best.
     bad_luck : float
         Standard deviations by which the noise shortens an effect's trace in the smallest effect
-        that would have been seen: with the two ways in which it counts, nine of ten draws of the
-        noise are kinder.
+        that would have been seen: the noise is less kind in one draw of twenty. It counts in two
+        ways, in all trials and in the held-out ones.
     false_discoveries : float
         Rate of false discoveries within each view of where a model fails, and over the aspects of
         its comparison (Benjamini & Hochberg 1995, J R Stat Soc B 57: 289-300).
@@ -110,7 +110,7 @@ class Rules:
     unmoved: float = 0.05
     enough_noise: float = 1.5
     loose: float = 0.5
-    bad_luck: float = 2.0
+    bad_luck: float = 1.645
     false_discoveries: float = 0.05
     solver_share: float = 0.1
     solver_most: float = 1e-5

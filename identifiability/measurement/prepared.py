@@ -66,7 +66,8 @@ class Treatment:
     level_of : {"lead", "record", "nothing"}
         Samples whose mean was taken for the operating point: the quiet ones before the
         perturbation, all of them, or none. Of a lead, a level that its own scatter explains is
-        left alone: taking it off would add its error to every sample.
+        left alone: taking it off would add its error to every sample. Where the angle is imposed
+        that of the torque is of the record in any case.
     torque, angle : float
         The levels [Nm, rad] that were taken off.
     lowpass_hz : float or None
@@ -313,6 +314,18 @@ def _with_lead(prepared: Prepared, n: int, time: float) -> Prepared:
             response=trial.angle,
             has_offset=False,
             treatment=Treatment("lead", torque, angle),
+        )
+    else:
+        # Springs that are not linear act about the posture that the movement starts from. The
+        # torque's level stays unknown: its noise may be slower than the lead is long.
+        posture = float(trial.angle[:n].mean())
+        trial = trial.less(0.0, posture, f"mean angle of the {n} quiet samples")
+        done = prepared.treatment
+        prepared = replace(
+            prepared,
+            trial=trial,
+            drive=imposed_motion(trial.time, trial.angle),
+            treatment=replace(done, level_of="lead", angle=done.angle + posture),
         )
     sd = max(sd, _resolution(prepared.response) / np.sqrt(12))
     return replace(prepared, recorded_lead=Lead(n, sd, max(1.0, time)))

@@ -28,6 +28,7 @@ from identifiability.joint.model import Model
 _FIRST = 0.01  # share of the nominal size that the bracket is looked for from
 _STRIDE, _CLOSE = 8.0, 1.05  # largest step of that, and ratio of the bracket's ends at its end
 _EVALUATIONS = 20  # of one refit of the smaller model
+_SOLVER_SHARE = 0.01  # of a trace's square that the error of its integration may have
 
 
 @dataclass(frozen=True)
@@ -63,10 +64,11 @@ def detectable(
 
     The noise is what the model leaves. With :math:`\lambda` the evidence that the effect's trace
     is expected to have, that of one draw of the noise is :math:`(\sqrt\lambda + z)^2` with z
-    standard normal: the noise lengthens or shortens the trace. An effect counts as seen where it
-    is admitted with a z of minus ``rules.bad_luck``, in all trials together and in those that are
-    held out alone. At a third of its size its evidence is a ninth, and chance seldom makes up for
-    that.
+    standard normal: the noise lengthens or shortens the trace that is fitted. In held-out trials
+    the trace is predicted, not fitted, and their evidence is :math:`\lambda + 2 z \sqrt\lambda`.
+    An effect counts as seen where it is admitted with a z of minus ``rules.bad_luck``, in all
+    trials together and in those that are held out alone. At a third of its size its evidence is a
+    ninth, and chance seldom makes up for that.
 
     Effects that stay invisible at any size are left out.
 
@@ -188,18 +190,32 @@ class _Hidden:
         values = self.values(strength)
         full = having[0].free_vector(values)
         scheme = having[0].suited(self.model.vector(values))
-        predicted = [problem.with_scheme(scheme).residuals(full) for problem in having]
-        if not all(np.all(np.isfinite(p)) for p in predicted):
-            return None
-        x = _refit(without[0], predicted[0], [start, self.model_free_start, self._softened(values)])
-        split = self.bench.split
-        left = [
-            self.bench.unstacked(problem, problem.residuals(x) - p, part)
-            for problem, p, part in zip(
-                without, predicted, (split.fitted, split.held_out), strict=False
-            )
+        while True:
+            exactly = [problem.with_scheme(scheme) for problem in having]
+            predicted = [problem.residuals(full) for problem in exactly]
+            if not all(np.all(np.isfinite(p)) for p in predicted):
+                return None
+            starts = [start, self.model_free_start, self._softened(values)]
+            x = _refit(without[0], predicted[0], starts)
+            left = [w.residuals(x) - p for w, p in zip(without, predicted, strict=True)]
+            if scheme.exact:
+                break
+            # What the integration is wrong by must not pass for a trace.
+            moved = [
+                p - h.halved().residuals(full) for p, h in zip(predicted, exactly, strict=True)
+            ]
+            error = sum(float(m @ m) for m in moved) / sum(float(t @ t) for t in left)
+            if error <= _SOLVER_SHARE:
+                break
+            if scheme.finest:
+                return None
+            scheme = scheme.improved(error / _SOLVER_SHARE)
+        parts = (self.bench.split.fitted, self.bench.split.held_out)
+        traces = [
+            self.bench.unstacked(problem, white, part)
+            for problem, white, part in zip(without, left, parts, strict=False)
         ]
-        return _Trace(self, values, x, left[0], left[1] if len(left) > 1 else NOTHING)
+        return _Trace(self, values, x, traces[0], traces[1] if len(traces) > 1 else NOTHING)
 
     def _softened(self, values: Mapping[str, float]) -> np.ndarray:
         """Where springs in series with the muscle take K and B of the model without them."""
@@ -252,12 +268,13 @@ class _Trace:
         fitted, held_out = self.expected
         luck = self.of.bench.rules.bad_luck
 
-        def left(evidence: float) -> float:
-            return max(0.0, 1 - luck / np.sqrt(evidence)) if evidence > 0 else 0.0
-
-        both = left(fitted + held_out)
-        draws = [(both, both), (1.0, left(held_out))] if self.held_out.by_trial else [(both, 1.0)]
-        return all(self._admitted(*draw) for draw in draws)
+        both = max(0.0, 1 - luck / np.sqrt(max(fitted + held_out, 1e-12)))
+        if not self.held_out.by_trial:
+            return self._admitted(both, 1.0)
+        if not self._admitted(both, both):
+            return False
+        left = held_out - 2 * luck * np.sqrt(held_out)
+        return left > 0 and self._admitted(1.0, float(np.sqrt(left / held_out)))
 
     def _admitted(self, fitted: float, held_out: float) -> bool:
         """Whether it passes the gate where so much of the trace is left by the noise."""
