@@ -11,8 +11,7 @@ import scipy.optimize
 from identifiability.errors import InputError
 from identifiability.inference.bounds import onto, size_of, strictly_inside, touching
 from identifiability.inference.problem import Problem
-
-_THREADS = 2  # that descend from different starts side by side
+from identifiability.joint.programs import THREADS
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,7 +180,7 @@ def explore(problem: Problem, starts: np.ndarray, *, evaluations: int, further: 
         return float(result.cost), turned(result.x), "", result.status > 0
 
     problem.residuals(starts[0])  # compiled once, before the threads ask for it
-    with ThreadPoolExecutor(_THREADS) as pool:
+    with ThreadPoolExecutor(THREADS) as pool:
         reports = list(pool.map(descend, starts))
         order = np.argsort([r[0] for r in reports], kind="stable")
         undone = [int(i) for i in order[:2] if not reports[i][3]] if further else []

@@ -22,7 +22,7 @@ from jax.typing import ArrayLike
 from identifiability.errors import InputError
 from identifiability.joint.integrator import integrate
 from identifiability.joint.model import Model
-from identifiability.joint.programs import make_room, quickly_compiled
+from identifiability.joint.programs import THREADS, make_room, quickly_compiled
 from identifiability.joint.response import exact_response
 from identifiability.joint.scheme import Scheme
 from identifiability.measurement.noise import Noise
@@ -31,7 +31,6 @@ from identifiability.measurement.perturbations import Drive
 # Batches are padded to one of a few sizes, so that a few compilations serve any number of points.
 # A batch of long records is kept small: what does not fit the processor's cache is slower.
 _SMALL_BATCH, _BATCHES = 32, (512, 4096)
-_THREADS = 2  # that compute batches side by side
 _DIFFERENCE = 1e-3  # step of differences, in slice widths
 _MOST_ELEMENTS = 2**21
 
@@ -510,7 +509,7 @@ class Problem:
         starts = range(0, len(points), self.batches[-1])
         if len(starts) == 1:
             return compute(0)
-        with ThreadPoolExecutor(_THREADS) as pool:
+        with ThreadPoolExecutor(THREADS) as pool:
             return np.concatenate([*pool.map(compute, starts), np.empty(0)])
 
     def log_posterior(self, points: np.ndarray) -> np.ndarray:

@@ -14,7 +14,7 @@ from identifiability.inference.problem import Observation, Prior, Problem, obser
 from identifiability.inference.starts import first_guess, plain_values, starting_values
 from identifiability.inference.widths import Widths, widths
 from identifiability.joint.model import KBI, Model
-from identifiability.joint.scheme import Scheme
+from identifiability.joint.scheme import LEAST, MOST, SHARE, Scheme
 from identifiability.measurement.filtering import Lowpass
 from identifiability.measurement.noise import Noise, correlation_time
 from identifiability.measurement.prepared import Prepared, prepare
@@ -24,9 +24,6 @@ from identifiability.progress import Progress, silent
 
 _STARTS = 6
 _EVALUATIONS = 60  # from each start, of a model with effects
-_SOLVER_SHARE = 0.1
-"""Error E of the integration over that of the fit, from which on the steps are made finer."""
-_SOLVER_LEAST, _SOLVER_MOST = 1e-7, 1e-5  # whatever the fit's own error
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,7 +208,7 @@ def best_fit(problem: Problem, guess: np.ndarray, seed: int) -> tuple[Problem, F
 def _resolved(problem: Problem, best: Fit) -> Problem:
     """The problem in steps whose error is small beside that of the fit."""
     n = len(problem.observations)
-    allowed = np.clip(_SOLVER_SHARE * 2 * best.cost / n, _SOLVER_LEAST, _SOLVER_MOST)
+    allowed = np.clip(SHARE * 2 * best.cost / n, LEAST, MOST)
     return problem.resolved(best.values, float(allowed) * n / problem.n_samples)
 
 

@@ -15,6 +15,7 @@ from identifiability.inference.problem import Problem
 from identifiability.inference.profiles import POINTS, Profile, Side, profile
 from identifiability.inference.quadrature import Moments, quadrature
 from identifiability.inference.sampling import Posterior, Sampler, sample
+from identifiability.joint.programs import THREADS
 
 Verdict = Literal[
     "agrees", "truncated", "curved", "heavy-tailed", "non-identifiable", "not converged"
@@ -36,7 +37,7 @@ WIDTH_TOLERANCE = 0.10
 END_TOLERANCE = 0.25
 HEAVY_TAIL = 2.15
 _P68, _P95 = 0.6827, 0.95
-_FEW_EVALUATIONS, _FEW_POINTS, _THREADS = 60, 5, 2
+_FEW_EVALUATIONS, _FEW_POINTS = 60, 5
 _MOST_TAKEN_UP = 3  # times that a fit is taken up from a better point met on the way
 
 
@@ -251,7 +252,7 @@ def _profiles(problem: Problem, best: Fit, quick: bool) -> tuple[Curvature, tupl
     def follow(name: str) -> Profile:
         return profile(problem, best.values, name, points=points, shape=shape)
 
-    with ThreadPoolExecutor(_THREADS if quick else 1) as pool:
+    with ThreadPoolExecutor(THREADS if quick else 1) as pool:
         return shape, tuple(pool.map(follow, problem.names))
 
 

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from identifiability.joint import scheme
+
 
 @dataclass(frozen=True)
 class Rules:
@@ -112,9 +114,9 @@ class Rules:
     loose: float = 0.5
     bad_luck: float = 1.645
     false_discoveries: float = 0.05
-    solver_share: float = 0.1
-    solver_most: float = 1e-5
-    solver_least: float = 1e-7
+    solver_share: float = scheme.SHARE
+    solver_most: float = scheme.MOST
+    solver_least: float = scheme.LEAST
     most_effects: int = 3
 
     @property

@@ -15,6 +15,9 @@ import jax.numpy as jnp
 # passes save next to nothing here and take a third of the compiler's time; the newer emitters of
 # fused loops take as long again; and handing the sums of a time step to a library of threaded
 # kernels makes the step slower.
+THREADS = 2
+"""Threads that call compiled programs side by side: one program uses no more than a core or so."""
+
 _QUICK: dict[str, bool | int | str] = {
     "xla_llvm_disable_expensive_passes": True,
     "xla_backend_optimization_level": 1,

@@ -17,6 +17,10 @@ _SECOND, _FOURTH = 0.1, 0.75
 the effects, is integrated to E = 1e-5 by the second-order scheme and to 1e-6 by the fourth."""
 _MOST_SECOND = 4  # steps of second order, from which on fewer of fourth order are quicker
 
+SHARE, LEAST, MOST = 0.1, 1e-7, 1e-5
+"""Error E of the integration over the E that a fit cannot do without (the noise's, or its own),
+from which on its steps are made finer; and bounds of that error, whatever the fit leaves."""
+
 MOST_SUBSTEPS = 128
 """Steps per sampling interval beyond which a model counts as too fast for its samples."""
 

@@ -19,11 +19,10 @@ from identifiability.investigation.unexplained.readouts import (
 )
 from identifiability.investigation.where.drawing import INTERVAL
 from identifiability.palette import BLUE, GREY, ORANGE, PURPLE, VERMILLION
-from identifiability.plots.style import styled
+from identifiability.plots.style import LONGEST_SHOWN, styled
 
 _MOST_TRIALS, _MOST_FAMILIES = 4, 8
 _LINE = 44  # letters of a family's name in one line
-_LONGEST = 3.0  # s of a trial that are shown
 _COLOURS = {"sensor": ORANGE, "drift": ORANGE, "none": GREY, "unrepeatable": PURPLE}
 _MEANINGS = {
     BLUE: "a function of the motion",
@@ -125,7 +124,7 @@ def _torques(figure: SubFigure, torques: Sequence[MissingTorque]) -> None:
     row = figure.subplots(1, len(shown), sharey=True, squeeze=False)[0]
     for axes, i in zip(row, shown, strict=True):
         t = torques[i]
-        part = slice(0, int(np.searchsorted(t.time, t.time[0] + _LONGEST)) + 1)
+        part = slice(0, int(np.searchsorted(t.time, t.time[0] + LONGEST_SHOWN)) + 1)
         time, mean, sd = t.time[part], t.mean[part], t.sd[part]
         axes.fill_between(
             time, mean - INTERVAL * sd, mean + INTERVAL * sd, color=VERMILLION, alpha=0.25, lw=0

@@ -18,11 +18,11 @@ from identifiability.investigation.where.locate import Location
 from identifiability.investigation.where.view import Panel
 from identifiability.measurement.prepared import Prepared
 from identifiability.palette import BLACK, BLUE, GREY, SKY, VERMILLION
-from identifiability.plots.style import styled
+from identifiability.plots.style import LONGEST_SHOWN, styled
 
 _MOST_TRIALS, _COLUMNS = 8, 4
 _CELLS = 12  # of a row: divided evenly by whatever number of columns its panels have
-_BEFORE, _LONGEST = 0.05, 3.0  # seconds before the first perturbation, and in all, that are shown
+_BEFORE = 0.05  # seconds before the first perturbation that are shown
 _UNITS = {"torque": "rad", "angle": "Nm"}  # of the response to it
 
 
@@ -90,7 +90,7 @@ def _overlay(
 ) -> None:
     interval = ready.drive.interval
     first = max(0, int(starts(ready)[0]) - round(_BEFORE / interval))
-    part = slice(first, first + round(_LONGEST / interval) + 1)
+    part = slice(first, first + round(LONGEST_SHOWN / interval) + 1)
     time = ready.trial.time[ready.first : ready.last][part]
     measured = ready.compared
     noise = ready.lead.sd if ready.lead.n_samples and ready.lead.sd > 0 else 1.0

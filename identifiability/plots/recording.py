@@ -7,9 +7,9 @@ from matplotlib.figure import Figure
 
 from identifiability.inference.recordings import RecordingFit
 from identifiability.palette import BLACK, BLUE, GREY, VERMILLION
-from identifiability.plots.style import styled
+from identifiability.plots.style import LONGEST_SHOWN, styled
 
-_MOST_TRIALS, _LONGEST = 6, 3.0
+_MOST_TRIALS = 6
 
 
 def overlay_figure(result: RecordingFit) -> Figure:
@@ -32,7 +32,7 @@ def overlay_figure(result: RecordingFit) -> Figure:
             column, prediction = axes[:, i], result.predictions[i]
             torque_driven = prepared.trial.driven == "torque"
             first = max(0, prepared.onsets[0] - round(0.1 / prepared.interval))
-            part = slice(first, first + round(_LONGEST / prepared.interval) + 1)
+            part = slice(first, first + round(LONGEST_SHOWN / prepared.interval) + 1)
             time = prepared.trial.time[part]
             imposed = prepared.drive.signals[part, 0]
             column[0].plot(time, imposed, color=GREY)

@@ -24,6 +24,8 @@ MAP, SECOND_MAP = "viridis", "cividis"
 
 DPI = 130
 
+LONGEST_SHOWN = 3.0  # seconds of a record: of more, nothing could be made out
+
 _STYLE: Any = {
     "font.size": 11,
     "axes.titlesize": 12,

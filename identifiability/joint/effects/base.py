@@ -16,6 +16,8 @@ from jax.typing import ArrayLike
 from identifiability.joint.effects.check import check_effect
 from identifiability.joint.parameters import Parameter
 
+TYPICAL_ANGLE = 0.1  # rad, that joints are moved by: where an effect's pace depends on the motion
+
 
 class Motion(NamedTuple):
     """Angle [rad] and angular velocity [rad/s] that an effect sees."""

@@ -9,10 +9,8 @@ import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
-from identifiability.joint.effects.base import Effect, Motion
+from identifiability.joint.effects.base import TYPICAL_ANGLE, Effect, Motion
 from identifiability.joint.parameters import Parameter
-
-_TYPICAL = 0.1  # rad, an angle that joints are moved by
 
 
 class CubicStiffness(Effect):
@@ -47,5 +45,5 @@ class CubicStiffness(Effect):
 
     def pace(self, values: Mapping[str, float]) -> float:
         """Frequency [rad/s] to which the stiffness at a typical angle would raise the joint."""
-        stiffening = 3 * abs(values[f"{self.key}.coefficient"]) * _TYPICAL**2
+        stiffening = 3 * abs(values[f"{self.key}.coefficient"]) * TYPICAL_ANGLE**2
         return math.sqrt(stiffening / values["I"])

@@ -9,11 +9,10 @@ import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
-from identifiability.joint.effects.base import Effect, Motion
+from identifiability.joint.effects.base import TYPICAL_ANGLE, Effect, Motion
 from identifiability.joint.parameters import Parameter
 
 _SERIES = 0.02  # of h theta, below which the closed form cancels
-_TYPICAL = 0.1  # rad, an angle that joints are moved by
 
 
 class QuadraticStiffness(Effect):
@@ -71,5 +70,5 @@ class QuadraticStiffness(Effect):
 
     def pace(self, values: Mapping[str, float]) -> float:
         """Frequency [rad/s] to which the stiffness at a typical angle would raise the joint."""
-        stiffening = 2 * abs(values[f"{self.key}.coefficient"]) * _TYPICAL
+        stiffening = 2 * abs(values[f"{self.key}.coefficient"]) * TYPICAL_ANGLE
         return math.sqrt(stiffening / values["I"])
