@@ -141,7 +141,7 @@ def test_benchmark_refuses_bad_options(options, words, tmp_path, capsys):
 
 
 def test_benchmark_writes_what_failed_too_and_says_so(tmp_path, capsys, monkeypatch):
-    def fails(tasks, folder, *, seeds, every, workers):
+    def fails(tasks, folder, *, seeds, every, workers, known):
         outcomes = [Outcome("a case", "timed out", cause="no result within 2 s")]
         (spec,) = hidden_cases("quick", 3)[:1]
         return {seed: [failed("quick", spec, outcomes[0].cause)] for seed in seeds}, outcomes
