@@ -12,7 +12,7 @@ from identifiability.joint.effects import EFFECTS
 from identifiability.measurement.example import B_CE, INERTIA, K_CE, K_SE
 
 # All effects compete in the benchmark's cases. A Maxwell branch would be of the tendon's form.
-RIVALS = ("coulomb_friction", "sensor_delay", "series_tendon")
+RIVALS = ("cubic_stiffness", "sensor_delay", "series_tendon")
 
 
 def test_the_demo_finds_the_joint_that_was_made(tmp_path, capfd, monkeypatch):

@@ -184,7 +184,7 @@ def explore(problem: Problem, starts: np.ndarray, *, evaluations: int, further: 
         reports = list(pool.map(descend, starts))
         order = np.argsort([r[0] for r in reports], kind="stable")
         undone = [int(i) for i in order[:2] if not reports[i][3]] if further else []
-        more = pool.map(lambda i: descend(reports[i][1], further, 1e-2), undone)
+        more = pool.map(lambda i: descend(reports[i][1], further, 0.1), undone)
         for i, report in zip(undone, list(more), strict=True):
             reports[i] = report if report[0] <= reports[i][0] else reports[i]
     costs, reached = np.array([r[0] for r in reports]), np.array([r[1] for r in reports])

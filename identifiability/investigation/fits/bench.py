@@ -23,7 +23,7 @@ from identifiability.joint.scheme import EXACT, Scheme
 from identifiability.measurement.prepared import Prepared
 from identifiability.provenance import fingerprint
 
-GLANCE, THOROUGH, FURTHER = 10, 60, 200
+GLANCE, THOROUGH, FURTHER = 10, 60, 100
 """Evaluations from each start: to see whether a candidate is worth more, to finish it, and for the
 best two where that did not suffice."""
 _KEPT, _NEAR = 2, 2.0  # starts that are carried on: so many, at most so many times the best cost

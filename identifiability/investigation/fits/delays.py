@@ -18,6 +18,7 @@ from identifiability.inference.problem import Problem
 _POINTS = 12  # 20 % apart for a reflex
 _NEAR = np.array([0.5, 1.0, 1.5, 2.0])  # samples from the best
 _POLISHED = 2
+_GLANCE, _HOPEFUL = 10, 10.0  # evaluations, after which a top this much worse [nats] is given up
 
 
 def delays_profiled(problem: Problem, best: Fit, *, evaluations: int) -> Fit:
@@ -75,10 +76,19 @@ def _taken_up(problem: Problem, best: Fit, index: int, grid: np.ndarray, evaluat
     height = np.where(np.isfinite(height), height, -np.inf)
     beside = np.concatenate([[-np.inf], height, [-np.inf]])
     tops = np.flatnonzero((height >= beside[:-2]) & (height >= beside[2:]) & np.isfinite(height))
-    chosen = [points[order[i]] for i in tops[np.argsort(-height[tops])][:_POLISHED]]
-    starts = np.array(chosen)
-    found = explore(problem, starts, evaluations=evaluations, further=evaluations)
+    # The fit itself, first of the points, has been carried to its end.
+    others = [i for i in tops[np.argsort(-height[tops])] if order[i] != 0][:_POLISHED]
+    if not others:
+        return best
+    starts = np.array([points[order[i]] for i in others])
+    found = explore(problem, starts, evaluations=_GLANCE)
     costs = np.concatenate([best.costs, found.costs])
     reached = np.concatenate([best.reached, found.reached])
+    nats = 0.5 * problem.n_samples * (found.costs / best.cost - 1)  # with the noise as it is left
+    hopeful = found.reached[nats < _HOPEFUL]
+    if hopeful.size:
+        found = explore(problem, hopeful, evaluations=evaluations, further=evaluations)
+        costs = np.concatenate([costs, found.costs])
+        reached = np.concatenate([reached, found.reached])
     better = found if found.cost < best.cost else best
     return replace(better, costs=costs, reached=reached)
