@@ -147,7 +147,9 @@ def test_a_fit_that_failed_is_tried_again(tmp_path, split, monkeypatch):
 
 
 def test_an_investigation_that_was_stopped_goes_on(tmp_path, fits):
-    library = {key: EFFECTS[key] for key in ("series_tendon", "cubic_stiffness", "quadratic_stiffness")}
+    library = {
+        key: EFFECTS[key] for key in ("series_tendon", "cubic_stiffness", "quadratic_stiffness")
+    }
     hidden = trials(MODEL, VALUES), trials(MODEL, VALUES, seed=9, conditions=HELD)
 
     def study(**options):

@@ -12,7 +12,7 @@ import numpy as np
 
 from identifiability.benchmark.cases import CaseSpec, hidden_cases
 from identifiability.benchmark.score import Score, matched, outcome_of
-from identifiability.investigation.investigate import investigate
+from identifiability.investigation.session import Investigation
 from identifiability.sweep.outcome import Arrays, Outcome
 from identifiability.sweep.run import sweep
 
@@ -102,11 +102,12 @@ def scored(task: tuple[str, CaseSpec]) -> Arrays:
 
 
 def score(tier: str, spec: CaseSpec) -> Score:
-    """Build one case, investigate it and compare the verdict with the truth."""
+    """Build one case, investigate it up to the verdict and compare that with the truth."""
     began = time.perf_counter()
     case = spec.build()
-    findings = investigate(case.fit, case.held_out, with_widths=False, seed=spec.seed)
-    verdict, found = findings.verdict, findings.found
+    study = Investigation(case.fit, case.held_out)
+    found = study.search()
+    verdict = study.judge(found, study.unexplained(found.final, seed=spec.seed))
     first = None
     if found.missing and spec.kind == "known":
         first = matched(case.truth, [found.missing[0].could_be]) == 1
@@ -127,7 +128,7 @@ def score(tier: str, spec: CaseSpec) -> Score:
             (key, rung.fitted.error, rung.held_out.error)
             for key, rung in zip(("", *(m.key for m in found.missing)), found.ladder, strict=True)
         ),
-        warnings=findings.warnings,
+        warnings=study.remarks,
     )
 
 
