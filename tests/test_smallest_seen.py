@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from identifiability.investigation.search.smallest_seen import detectable
+from identifiability.investigation.search.smallest_seen import _Hidden, detectable
 from identifiability.investigation.session import Investigation
 from identifiability.joint.effects import EFFECTS
 from identifiability.joint.model import KBI
@@ -17,7 +17,11 @@ JOINT = {"K": 30.0, "B": 1.0, "I": 0.1}
 NOISE = 1e-3  # share of each trial's root mean square
 FITTED = [("pulse", 8), ("pulse", -16), ("step", 4), ("step", -6)]
 HELD = [("pulse", -8), ("step", 6)]
-QUICK = ("cubic_stiffness", "series_tendon")
+QUICK = [
+    ("cubic_stiffness", "torque"),
+    ("series_tendon", "torque"),
+    ("quadratic_stiffness", "angle"),
+]
 
 
 def imposed(kind, size):
@@ -74,20 +78,26 @@ def weaker(one, factor):
     return one.values | {one.parameter: size}
 
 
-@pytest.fixture(scope="module")
-def smallest():
-    return smallest_of({key: EFFECTS[key] for key in QUICK})
+@pytest.mark.parametrize(("key", "driven"), QUICK)
+def test_it_is_seen_at_the_stated_size_and_not_at_a_third(key, driven):
+    one = smallest_of({key: EFFECTS[key]}, driven)[key]
+    assert sum(admitted(key, one.values, seed, driven) for seed in range(100, 106)) >= 5
+    assert sum(admitted(key, weaker(one, 3), seed, driven) for seed in range(200, 206)) <= 1
 
 
-@pytest.mark.parametrize("key", QUICK)
-def test_it_is_seen_at_the_stated_size_and_not_at_a_third(smallest, key):
-    one = smallest[key]
-    assert sum(admitted(key, one.values, seed) for seed in range(10, 16)) >= 5
-    assert sum(admitted(key, weaker(one, 3), seed) for seed in range(20, 26)) <= 1
+def test_an_error_of_integration_is_no_trace():
+    """One step a sample makes a tendon of 20 kNm/rad differ from none; a finer one does not."""
+    key = "nonlinear_tendon"
+    study = study_of(KBI(), JOINT, 1, {key: EFFECTS[key]}, "angle")
+    hidden = _Hidden(study.bench, study.baseline, KBI() + EFFECTS[key](), key)
+    trace = hidden.trace(1 / 20e3, hidden.model_free_start)
+    assert sum(trace.expected) < 1
+    assert not trace.seen
 
 
-def test_its_record(smallest):
-    one = smallest["series_tendon"]
+def test_its_record():
+    key = "series_tendon"
+    one = smallest_of({key: EFFECTS[key]})[key]
     assert (one.parameter, one.unit) == ("series_tendon.stiffness", "Nm/rad")
     assert one.values["series_tendon.stiffness"] == one.size
     assert one.values["K"] == pytest.approx(JOINT["K"], rel=0.01)
