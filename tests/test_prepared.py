@@ -78,6 +78,17 @@ def test_the_levels_taken_off_are_told():
     assert (plain["lowpass_hz"], plain["decimation"]) == (30.0, 2)
 
 
+@pytest.mark.parametrize(("rest", "level_of"), [(0.3, "lead"), (0.095, "record")])
+def test_a_hold_among_many_is_no_rest(rest, level_of):
+    """An angle that switches every 100 ms, after a longer and after a shorter hold."""
+    trial = servo(rest=rest)
+    (ready,) = prepare([trial], lowpass_hz=None)
+    assert ready.recorded_lead.n_samples > 0
+    assert ready.treatment.level_of == level_of
+    expected = trial.angle.mean() if level_of == "record" else 0.2
+    assert ready.treatment.angle == pytest.approx(expected, abs=1e-3)
+
+
 @pytest.mark.parametrize(("lead", "known"), [(0.03, False), (0.05, True)])
 def test_a_short_lead_is_none(lead, known):
     (ready,) = prepare([pulse(lead=lead, level=0.3, time=np.arange(300) / 500)])

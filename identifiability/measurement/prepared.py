@@ -315,7 +315,7 @@ def _with_lead(prepared: Prepared, n: int, time: float) -> Prepared:
             has_offset=False,
             treatment=Treatment("lead", torque, angle),
         )
-    else:
+    elif _rests_first(prepared.onsets):
         # Springs that are not linear act about the posture that the movement starts from. The
         # torque's level stays unknown: its noise may be slower than the lead is long.
         posture = float(trial.angle[:n].mean())
@@ -329,6 +329,11 @@ def _with_lead(prepared: Prepared, n: int, time: float) -> Prepared:
         )
     sd = max(sd, _resolution(prepared.response) / np.sqrt(12))
     return replace(prepared, recorded_lead=Lead(n, sd, max(1.0, time)))
+
+
+def _rests_first(moves: np.ndarray) -> bool:
+    """Whether the first movement comes after a rest, not after one of many short holds."""
+    return moves.size == 1 or bool(moves[0] > np.median(np.diff(moves)))
 
 
 def _resolution(values: np.ndarray) -> float:
