@@ -96,10 +96,10 @@ def test_the_figure_has_a_row_for_what_no_effect_of_the_library_is():
 # Coloured noise in which there is nothing to find, and an effect of the joint; on demand an effect
 # of the instruments, and a joint that is not the same in every trial.
 AGAIN = (
-    "controls-86-ar1",
-    "singles-33-second_mass",
-    pytest.param("singles-37-sensor_delay", marks=pytest.mark.long),
-    pytest.param("unknown-10-time_varying_stiffness", marks=pytest.mark.long),
+    "controls-64-ar1",
+    "singles-32-gravity",
+    pytest.param("singles-40-sensor_lowpass", marks=pytest.mark.long),
+    pytest.param("unknown-00-time_varying_stiffness", marks=pytest.mark.long),
 )
 RIGHT = ("right", "right among others")
 
