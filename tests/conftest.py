@@ -1,6 +1,7 @@
 """What all tests share: compiled programs kept between sessions, long runs on demand, test data."""
 
 import os
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -28,6 +29,18 @@ def pytest_collection_modifyitems(config, items):
         for item in items:
             if item.get_closest_marker(apart):
                 item.add_marker(skip)
+
+
+@pytest.fixture
+def few_effects(monkeypatch):
+    """Commands that try few effects: all of them compete in the benchmark's cases."""
+    from identifiability.investigation.investigate import investigate
+    from identifiability.joint.effects import EFFECTS
+
+    # A Maxwell branch would be of the tendon's form.
+    keys = ("cubic_stiffness", "sensor_delay", "series_tendon")
+    few = partial(investigate, library={key: EFFECTS[key] for key in keys})
+    monkeypatch.setattr("identifiability.investigation.investigate.investigate", few)
 
 
 @pytest.fixture(scope="session")

@@ -3,7 +3,7 @@
 import numpy as np
 
 from identifiability.joint.response import simulate
-from identifiability.measurement.perturbations import SampledTorque
+from identifiability.measurement.perturbations import SampledTorque, imposed_motion
 from identifiability.measurement.trials import Trial
 
 TIME = np.arange(500) / 1000
@@ -16,18 +16,32 @@ def torque(kind: str, size: float) -> np.ndarray:
     return size * (TIME > 0.05)
 
 
-def trials(model, values, seed=1, noise=1e-3, conditions=None):
-    """Torque-driven trials of a model of the library, with white noise of a relative size."""
+def turned(kind: str, size: float) -> np.ndarray:
+    """Angle of a smooth push or step, by a fiftieth of the size."""
+    rise = np.clip((TIME - 0.12) / 0.05, 0, 1)
+    back = np.clip((TIME - 0.2) / 0.05, 0, 1) if kind == "pulse" else 0 * TIME
+    there, again = (10 * s**3 - 15 * s**4 + 6 * s**5 for s in (rise, back))
+    return 0.02 * size * (there - again)
+
+
+def trials(model, values, seed=1, noise=1e-3, conditions=None, driven="torque"):
+    """Trials of a model of the library, with white noise of a relative size in the response."""
     conditions = conditions or [("pulse", 8), ("pulse", -16), ("step", 4), ("step", -6)]
     rng = np.random.default_rng(seed)
     theta = model.vector(values)
     out = []
     for i, (kind, size) in enumerate(conditions):
-        drive = SampledTorque(torque(kind, size)).drive(TIME)
-        angle = simulate(model, theta, drive)
-        sd = noise * np.sqrt(np.mean(angle**2))
-        noisy = angle + sd * rng.standard_normal(angle.size)
-        out.append(Trial(TIME, torque(kind, size), noisy, name=f"t{i}", condition=kind))
+        if driven == "torque":
+            given = torque(kind, size)
+            drive = SampledTorque(given).drive(TIME)
+        else:
+            given = turned(kind, size)
+            drive = imposed_motion(TIME, given)
+        response = simulate(model, theta, drive)
+        sd = noise * np.sqrt(np.mean(response**2))
+        noisy = response + sd * rng.standard_normal(response.size)
+        pair = (given, noisy) if driven == "torque" else (noisy, given)
+        out.append(Trial(TIME, *pair, driven=driven, name=f"t{i}", condition=kind))
     return out
 
 

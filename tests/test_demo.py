@@ -2,25 +2,15 @@
 
 import json
 import re
-from functools import partial
 
 import pytest
 
 from identifiability.cli.main import main
-from identifiability.investigation.investigate import investigate
-from identifiability.joint.effects import EFFECTS
 from identifiability.measurement.example import B_CE, INERTIA, K_CE, K_SE
 
-# All effects compete in the benchmark's cases. A Maxwell branch would be of the tendon's form.
-RIVALS = ("cubic_stiffness", "sensor_delay", "series_tendon")
 
-
-def test_the_demo_finds_the_joint_that_was_made(tmp_path, capfd, monkeypatch):
-    library = {key: EFFECTS[key] for key in RIVALS}
-    monkeypatch.setattr(
-        "identifiability.investigation.investigate.investigate",
-        partial(investigate, library=library),
-    )
+@pytest.mark.usefixtures("few_effects")
+def test_the_demo_finds_the_joint_that_was_made(tmp_path, capfd):
     out = tmp_path / "demo"
     assert main(["demo", "--out", str(out)]) == 0
     said = capfd.readouterr().out

@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
@@ -15,7 +14,6 @@ from identifiability.errors import InputError
 from identifiability.inference.starts import starting_values
 from identifiability.investigation.fits.bench import Workbench
 from identifiability.investigation.fits.candidate import NOTHING, Candidate, Residual
-from identifiability.investigation.investigate import investigate
 from identifiability.investigation.rules import Rules
 from identifiability.investigation.search.equivalence import comes_near, could_be
 from identifiability.investigation.search.fitter import Fitter
@@ -575,11 +573,8 @@ def write(folder, trial):
     return path
 
 
-def test_the_command_finds_a_hidden_effect(tmp_path, capsys, monkeypatch):
-    # All effects compete in the benchmark's cases.
-    keys = ("cubic_stiffness", "sensor_delay", "series_tendon")
-    few = partial(investigate, library={key: EFFECTS[key] for key in keys})
-    monkeypatch.setattr("identifiability.investigation.investigate.investigate", few)
+@pytest.mark.usefixtures("few_effects")
+def test_the_command_finds_a_hidden_effect(tmp_path, capsys):
     spec = next(s for s in hidden_cases("quick", 1) if s.kind == "known")
     case = spec.build()
     folder = tmp_path / "trials"

@@ -66,7 +66,7 @@ def gains_when_held(bench: Workbench, candidate):
     gains = {}
     for i, name in enumerate(problem.names):
         values = np.clip(
-            best[i] + sds[i] * np.array([-2, -0.5, 0.5, 2]),
+            best[i] + sds[i] * np.array([-3, -1, -0.3, 0.3, 1, 3]),
             problem.lower[i],
             problem.upper[i],
         )

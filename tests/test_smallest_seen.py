@@ -2,21 +2,14 @@
 
 import numpy as np
 import pytest
+from hidden import HELD, JOINT, trials
 from scipy.stats import binom
 
 from identifiability.investigation.search.smallest_seen import _Hidden, detectable
 from identifiability.investigation.session import Investigation
 from identifiability.joint.effects import EFFECTS
 from identifiability.joint.model import KBI
-from identifiability.joint.response import simulate
-from identifiability.measurement.perturbations import SampledTorque, imposed_motion
-from identifiability.measurement.trials import Trial
 
-TIME = np.arange(500) / 1000
-JOINT = {"K": 30.0, "B": 1.0, "I": 0.1}
-NOISE = 1e-3  # share of each trial's root mean square
-FITTED = [("pulse", 8), ("pulse", -16), ("step", 4), ("step", -6)]
-HELD = [("pulse", -8), ("step", 6)]
 QUICK = [
     ("cubic_stiffness", "torque"),
     ("series_tendon", "torque"),
@@ -24,36 +17,9 @@ QUICK = [
 ]
 
 
-def imposed(kind, size):
-    """Torque of a push or a step, or, where the angle is imposed, its smooth counterpart."""
-    rise = np.clip((TIME - 0.12) / 0.05, 0, 1)
-    back = np.clip((TIME - 0.2) / 0.05, 0, 1) if kind == "pulse" else 0 * TIME
-    smooth = [10 * s**3 - 15 * s**4 + 6 * s**5 for s in (rise, back)]
-    return {
-        "torque": size * (TIME > 0.05) * ((TIME <= 0.1) | (kind == "step")),
-        "angle": 0.02 * size * (smooth[0] - smooth[1]),
-    }
-
-
-def trials(model, values, rng, conditions, driven):
-    """Trials of a model of the library with a tenth of a percent of white noise."""
-    out = []
-    for i, (kind, size) in enumerate(conditions):
-        given = imposed(kind, size)[driven]
-        drive = SampledTorque(given).drive(TIME)
-        if driven == "angle":
-            drive = imposed_motion(TIME, given)
-        response = simulate(model, model.vector(values), drive)
-        sd = NOISE * np.sqrt(np.mean(response**2))
-        noisy = response + sd * rng.standard_normal(response.size)
-        torque, angle = (given, noisy) if driven == "torque" else (noisy, given)
-        out.append(Trial(TIME, torque, angle, driven=driven, name=f"t{i}", condition=kind))
-    return out
-
-
 def study_of(model, values, seed, library, driven="torque"):
     rng = np.random.default_rng(seed)
-    fitted, held = (trials(model, values, rng, c, driven) for c in (FITTED, HELD))
+    fitted, held = (trials(model, values, rng, conditions=c, driven=driven) for c in (None, HELD))
     return Investigation(fitted, held, library=library, lowpass_hz=None)
 
 
@@ -113,6 +79,6 @@ def test_nine_of_ten_at_the_stated_size_and_one_of_ten_at_a_third(key, driven):
     one = smallest_of({key: EFFECTS[key]}, driven)[key]
     seen = sum(admitted(key, one.values, seed, driven) for seed in range(100, 100 + DRAWS))
     less = sum(admitted(key, weaker(one, 3), seed, driven) for seed in range(200, 200 + DRAWS))
-    # What so many draws allow for one of twice as many effects.
-    assert binom.cdf(seen, DRAWS, 0.9) > 0.001, (seen, less)
-    assert binom.sf(less - 1, DRAWS, 0.1) > 0.001, (seen, less)
+    # What so many draws allow.
+    assert binom.cdf(seen, DRAWS, 0.9) > 0.05, (seen, less)
+    assert binom.sf(less - 1, DRAWS, 0.1) > 0.05, (seen, less)
