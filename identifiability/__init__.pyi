@@ -4,10 +4,21 @@ from .errors import InputError
 from .inference.archive import to_datatree, write_netcdf
 from .inference.curvature import Curvature, curvature, largest_change
 from .inference.fitting import Fit, fit, fit_simplex
+from .inference.likelihood.coloured import Colour, ColourArrays
+from .inference.likelihood.estimate import NoiseEstimate
+from .inference.likelihood.processes import Process, ProcessSum, Whitening
+from .inference.noisy import NoisyFit
 from .inference.problem import Observation, Prior, Problem, observe
 from .inference.profiles import Profile, profile
 from .inference.quadrature import Moments, quadrature
-from .inference.recordings import Goodness, HeldOut, RecordingFit, WindowFit, fit_recordings
+from .inference.recordings import (
+    Goodness,
+    HeldOut,
+    RecordingFit,
+    WindowFit,
+    fit_recordings,
+    fit_with_noise,
+)
 from .inference.sampling import Posterior, Sampler, sample
 from .inference.widths import Width, Widths, widths
 from .investigation.findings import Findings
@@ -195,6 +206,14 @@ __all__ = [  # noqa: RUF022 -- in the order of use
     "investigation_record",
     "write_report",
     "to_datatree",
+    "fit_with_noise",
+    "NoisyFit",
+    "NoiseEstimate",
+    "Process",
+    "ProcessSum",
+    "Whitening",
+    "Colour",
+    "ColourArrays",
     "write_netcdf",
     "MSM",
     "Setting",

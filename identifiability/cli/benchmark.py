@@ -20,14 +20,20 @@ def add_parser(commands: Any) -> None:
     """Add the subcommand."""
     parser = commands.add_parser(
         "benchmark",
-        help="judge the investigation on joints whose hidden effects are known, or the solver",
-        description="solver: integrate every non-linear effect at many sampling rates, and compare "
-        "with far finer steps. investigation: simulate joints with hidden effects by an "
-        "independent simulator, investigate each, and count what was found. An interrupted "
-        "run goes on where it was when the same command is typed again; cases that the record in "
-        "the folder has, by the same code, are not judged again.",
+        help="judge the investigation, the widths or the solver where the truth is known",
+        description="coverage: fit K, B and I to simulated recordings with noise of every kind, "
+        "and count how often their intervals hold the truth. solver: integrate every non-linear "
+        "effect at many sampling rates, and compare with far finer steps. investigation: simulate "
+        "joints with hidden effects by an independent simulator, investigate each, and count what "
+        "was found. An interrupted run goes on where it was when the same command is typed again; "
+        "cases that the record in the folder has, by the same code, are not judged again.",
     )
-    parser.add_argument("what", choices=("investigation", "solver"), help="what is judged")
+    parser.add_argument(
+        "what", choices=("investigation", "coverage", "solver"), help="what is judged"
+    )
+    parser.add_argument(
+        "--recordings", type=int, default=500, metavar="N", help="coverage: of each kind (500)"
+    )
     parser.add_argument(
         "--tier",
         nargs="+",
@@ -49,7 +55,35 @@ def add_parser(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the subcommand."""
-    return _run_solver(options) if options.what == "solver" else _run_investigation(options)
+    runs = {"solver": _run_solver, "coverage": _run_coverage, "investigation": _run_investigation}
+    return runs[options.what](options)
+
+
+def _run_coverage(options: argparse.Namespace) -> int:
+    check_workers(options)
+    if options.recordings < 2:
+        raise InputError(f"found --recordings {options.recordings}, expected 2 or more")
+    (seed, *others) = options.seed
+    check_seed(seed)
+    if others:
+        raise InputError("found several seeds for coverage, expected one")
+    from identifiability.benchmark.coverage import measure, record
+    from identifiability.files import output_folder, write_json, write_text
+    from identifiability.report.coverage import coverage_page
+
+    out = output_folder(options.out)
+    cells = out / "coverage.cells"
+    rows, outcomes = measure(options.recordings, seed=seed, folder=cells, workers=options.workers)
+    found = record(rows, n=options.recordings, seed=seed)
+    write_json(out / "coverage.json", found)
+    write_text(out / "coverage.md", coverage_page(found))
+    for row in rows:
+        print(
+            f"{row.kind}, {row.imposed} imposed, {row.name}: {row.covered} of {row.n} "
+            f"({100 * row.interval[0]:.0f} to {100 * row.interval[1]:.0f} %)"
+        )
+    print(f"\nwritten: {out}/coverage.md, coverage.json")
+    return PARTIAL if complain(outcomes, cells) else 0
 
 
 def _run_solver(options: argparse.Namespace) -> int:

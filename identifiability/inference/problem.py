@@ -20,6 +20,8 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from identifiability.errors import InputError
+from identifiability.inference.likelihood import coloured
+from identifiability.inference.likelihood.coloured import Colour, ColourArrays
 from identifiability.joint.integrator import integrate
 from identifiability.joint.model import Model
 from identifiability.joint.programs import THREADS, make_room, quickly_compiled
@@ -165,9 +167,15 @@ class Data(NamedTuple):
     constant: Array
     segment: Array
     offsets: Array
+    colour: ColourArrays | None
 
 
-def _stack(observations: Sequence[Observation], substeps: int, room: tuple[int, int]) -> Data:
+def _stack(
+    observations: Sequence[Observation],
+    substeps: int,
+    room: tuple[int, int],
+    colour: Colour | None,
+) -> Data:
     drives = [o.drive for o in observations]
     rows = max(len(drives), room[0])
     longest = max(room[1], *(len(d.states) for d in drives))
@@ -200,7 +208,8 @@ def _stack(observations: Sequence[Observation], substeps: int, room: tuple[int, 
         padded([o.segment + first for o, first in zip(observations, firsts, strict=True)]),
         np.zeros(n_offsets),
     )
-    return Data(*(jnp.asarray(array) for array in arrays))
+    arranged = None if colour is None else colour.arrays()
+    return Data._make([*(jnp.asarray(array) for array in arrays), arranged])
 
 
 def _common(intervals: Sequence[float], rows: int) -> np.ndarray:
@@ -283,6 +292,8 @@ class Problem:
     exact_hessian : bool
         Whether second derivatives are automatic, or differences of the (automatic) first ones, for
         models whose second derivatives take long to compile.
+    colour : Colour, optional
+        Noise that whitens the residuals in the place of that of the observations.
     """
 
     model: Model
@@ -292,6 +303,7 @@ class Problem:
     scheme: Scheme | None = None
     room: tuple[int, int] = (0, 0)
     exact_hessian: bool = True
+    colour: Colour | None = None
     _last: local = field(default_factory=local, init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -374,7 +386,7 @@ class Problem:
     @cached_property
     def data(self) -> Data:
         """The observations, as compiled functions take them."""
-        return _stack(self.observations, self.integration.substeps, self.room)
+        return _stack(self.observations, self.integration.substeps, self.room, self.colour)
 
     def with_prior(self, prior: Prior) -> Problem:
         """Return the same problem with another prior."""
@@ -526,8 +538,12 @@ def pad(indices: np.ndarray, sizes: tuple[int, ...]) -> np.ndarray:
     return np.resize(indices, next(size for size in sizes if size >= indices.size))
 
 
+def _whole(program: Program, x: ArrayLike, template: ArrayLike) -> Array:
+    return jnp.asarray(template).at[jnp.array(program.free)].set(jnp.asarray(x))
+
+
 def _stacked_responses(program: Program, x: ArrayLike, template: ArrayLike, data: Data) -> Array:
-    theta = jnp.asarray(template).at[jnp.array(program.free)].set(jnp.asarray(x))
+    theta = _whole(program, x, template)
 
     def respond(interval: Array, states: Array, impulses: Array) -> Array:
         arrays = (interval, data.generator, data.readout, states, impulses)
@@ -544,6 +560,8 @@ def _stacked_responses(program: Program, x: ArrayLike, template: ArrayLike, data
 def whitened(program: Program, x: ArrayLike, template: ArrayLike, data: Data) -> Array:
     """Whitened residuals of all observations in one row, traceable."""
     residual = _stacked_responses(program, x, template, data) - data.measured
+    if data.colour is not None:
+        return coloured.whitened(residual, _whole(program, x, template), data.colour)
     before = jnp.take_along_axis(residual, jnp.asarray(data.previous), axis=1)
     white = data.scale * (residual - data.carry * before)
     if data.offsets.size:

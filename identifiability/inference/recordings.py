@@ -10,14 +10,15 @@ import numpy as np
 
 from identifiability.errors import InputError
 from identifiability.inference.fitting import Fit, explore, fit, starting_points
+from identifiability.inference.noisy import NoisyFit, fit_noisy
 from identifiability.inference.problem import Observation, Prior, Problem, observe
 from identifiability.inference.starts import first_guess, plain_values, starting_values
 from identifiability.inference.widths import Widths, widths
 from identifiability.joint.model import KBI, Model
 from identifiability.joint.scheme import LEAST, MOST, SHARE, Scheme
 from identifiability.measurement.filtering import Lowpass
-from identifiability.measurement.noise import Noise, correlation_time
-from identifiability.measurement.prepared import Prepared, prepare
+from identifiability.measurement.noise import Noise
+from identifiability.measurement.prepared import Prepared, prepare, prepare_whole_band
 from identifiability.measurement.splitting import Parts, Rule, hold_out
 from identifiability.measurement.trials import Trial
 from identifiability.progress import Progress, silent
@@ -42,6 +43,11 @@ class Selection:
     samples: np.ndarray
     stretches: int
     segment: np.ndarray | None
+
+    @property
+    def pieces(self) -> list[np.ndarray]:
+        """Samples of each stretch."""
+        return list(np.split(self.samples, self.stretches))  # all of one length
 
     def centred(self, values: np.ndarray) -> np.ndarray:
         """Values at the selected samples, without the mean of their stretch if it has an offset.
@@ -243,6 +249,7 @@ class WindowFit:
         Number of perturbations that contributed.
     widths : Widths
     goodness : Goodness
+        Of the least squares fit.
     """
 
     window: float
@@ -280,15 +287,19 @@ class RecordingFit:
     Attributes
     ----------
     prepared : tuple of Prepared
+        As the error E and the VAF see them.
     problem : Problem
+        The model, the recordings in their whole band, and their noise.
     widths : Widths
     goodness : Goodness
-    noises : tuple of Noise
-        Per trial the residual's standard deviation, inflated for its correlation.
-    independent_fractions : tuple of float
-        Per trial the share of samples that count as independent.
+        Of the least squares fit.
+    with_noise : NoisyFit
+        The model with the noise of the recordings, which the widths are those of.
+    least_squares : Fit
+        Smallest error E (Eq. 3), whatever the noise: where the model is right it differs from the
+        likelihood's best by no more than noise explains.
     predictions : tuple of array
-        Per trial the fitted response, its offset included, at every sample.
+        Per trial the response by least squares, its offset included, at every sample.
     windows : tuple of WindowFit
     held_out : HeldOut or None
     warnings : tuple of str
@@ -298,8 +309,8 @@ class RecordingFit:
     problem: Problem
     widths: Widths
     goodness: Goodness
-    noises: tuple[Noise, ...]
-    independent_fractions: tuple[float, ...]
+    with_noise: NoisyFit
+    least_squares: Fit
     predictions: tuple[np.ndarray, ...]
     windows: tuple[WindowFit, ...]
     held_out: HeldOut | None
@@ -319,10 +330,11 @@ def fit_recordings(
 ) -> RecordingFit:
     """Fit a joint model to recorded trials, with every width, by window and held out.
 
-    The estimate is that of least squares. Its residual is rarely white, so the noise that the
-    widths are computed for has the residual's variance times its integrated autocorrelation time:
-    the likelihood of as many samples as are independent. Where the model is wrong the residual is
-    not noise at all, and these widths are the smallest that can be defended.
+    Two estimates stand side by side. Least squares has the smallest error E (Eq. 3), and E and VAF
+    are its. The widths are those of the likelihood, in which the noise of both channels, its colour
+    and its level are estimated with the model (`fit_noisy`), and the noise of an imposed angle no
+    longer makes the inertia too small. Where the model is wrong its misfit is taken for noise, and
+    these widths are the smallest that can be defended.
 
     Parameters
     ----------
@@ -355,6 +367,7 @@ def fit_recordings(
     model = KBI() if model is None else model
     prior = Prior.physical(model) if prior is None else prior
     prepared = prepare(trials, lowpass_hz=lowpass_hz)
+    whole_band = prepare_whole_band(trials, lowpass_hz=lowpass_hz)
     selections_by_window = [[windows(p, length) for p in prepared] for length in window_lengths]
     guess = first_guess([p.trial for p in prepared], prior)
     starts_seed, *window_seeds = map(
@@ -363,49 +376,93 @@ def fit_recordings(
     pose = partial(recording_problem, model=model, prior=prior, refined=refined)
 
     def study(
-        chosen: Sequence[Selection], sampler_seed: int, referee: bool
-    ) -> tuple[Problem, Widths, list[Noise], list[float]]:
+        chosen: Sequence[Selection], same: Sequence[Selection], sampler_seed: int, referee: bool
+    ) -> tuple[Problem, Fit, NoisyFit, Widths]:
         rough, best = best_fit(pose(prepared, chosen), guess, starts_seed)
-        noises, fractions = _noises(rough, best, chosen)
-        problem = pose(prepared, chosen, noises=noises, scheme=rough.integration)
+        noisy = _noisily(pose, whole_band, same, best)
         result = widths(
-            problem,
-            starts=best.values[None],
+            noisy.problem,
+            starts=noisy.fit.values[None],
             seed=sampler_seed,
             referee=referee,
             quick=bool(model.effects),
         )
-        return problem, result, noises, fractions
+        return rough, best, noisy, result
 
     total = 2 + len(window_lengths)
     progress("whole records: fit, profiles, posterior, quadrature", 1, total)
     selections = [whole(p) for p in prepared]
-    problem, result, noises, fractions = study(selections, seed, True)
+    rough, best, noisy, result = study(selections, [whole(p) for p in whole_band], seed, True)
     by_window: list[WindowFit] = []
     for length, chosen, child in zip(
         window_lengths, selections_by_window, window_seeds, strict=True
     ):
         progress(f"windows of {1000 * length:g} ms", 2 + len(by_window), total)
-        windowed, within, _, _ = study(chosen, child, False)
+        same = [windows(p, length) for p in whole_band]
+        windowed, least, _, within = study(chosen, same, child, False)
         n_windows = sum(s.stretches for s in chosen)
-        by_window.append(
-            WindowFit(length, n_windows, within, goodness(windowed, within.fit, chosen))
-        )
+        by_window.append(WindowFit(length, n_windows, within, goodness(windowed, least, chosen)))
     progress("fit to one part, judged on the other", total, total)
     parts = hold_out(prepared)
     remarks = [] if parts.held_out else [f"held out: {parts.what_is_held_out}"]
+    if not noisy.settled:
+        remarks.append("model and noise still moved each other when their fit was stopped")
+    if noisy.drowned:
+        remarks.append(
+            "the noise of the imposed angle is as large as its motion: the inertia is too small"
+        )
     return RecordingFit(
         prepared,
-        problem,
+        noisy.problem,
         result,
-        goodness(problem, result.fit, selections),
-        tuple(noises),
-        tuple(fractions),
-        _predictions(prepared, problem, result.fit),
+        goodness(rough, best, selections),
+        noisy,
+        best,
+        _predictions(prepared, rough, best),
         tuple(by_window),
         _held_out(parts, pose, guess, starts_seed) if parts.held_out else None,
         tuple(remarks),
     )
+
+
+def fit_with_noise(
+    trials: Sequence[Trial],
+    *,
+    prior: Prior | None = None,
+    lowpass_hz: Lowpass = "auto",
+    seed: int = 1,
+) -> NoisyFit:
+    """Fit K, B and I together with the noise, without widths: the fit of `fit_recordings`.
+
+    Parameters
+    ----------
+    trials : sequence of Trial
+        All driven alike.
+    prior : Prior, optional
+        Uniform within the physical bounds by default.
+    lowpass_hz : float, "auto" or None
+        See `prepare` and `prepare_whole_band`.
+    seed : int
+        Of the starts.
+    """
+    prior = Prior.physical(KBI()) if prior is None else prior
+    prepared = prepare(trials, lowpass_hz=lowpass_hz)
+    whole_band = prepare_whole_band(trials, lowpass_hz=lowpass_hz)
+    pose = partial(recording_problem, model=KBI(), prior=prior)
+    guess = first_guess([p.trial for p in prepared], prior)
+    _, best = best_fit(pose(prepared, [whole(p) for p in prepared]), guess, seed)
+    return _noisily(pose, whole_band, [whole(p) for p in whole_band], best)
+
+
+def _noisily(
+    pose: Callable[..., Problem],
+    whole_band: Sequence[Prepared],
+    selections: Sequence[Selection],
+    best: Fit,
+) -> NoisyFit:
+    plain = pose(whole_band, selections, noises=[Noise(1.0)] * len(whole_band))
+    pieces = [selection.pieces for selection in selections]
+    return fit_noisy(plain.resolved(best.values), pieces, best.values)
 
 
 def _predictions(
@@ -436,26 +493,6 @@ def goodness(problem: Problem, best: Fit, selections: Sequence[Selection]) -> Go
         power += float(np.sum(measured**2))
         n += measured.size
     return Goodness(float(np.mean(errors)), 100 * (1 - residual_power / power), n)
-
-
-def _noises(
-    problem: Problem, best: Fit, selections: Sequence[Selection]
-) -> tuple[list[Noise], list[float]]:
-    """Noise whose white likelihood is worth as many samples as are independent."""
-    noises, fractions = [], []
-    for observation, response, selection in zip(
-        problem.observations, problem.responses(best.values), selections, strict=True
-    ):
-        residual = selection.centred(response - observation.measured)
-        n_offsets = observation.n_offsets
-        dof = max(1, residual.size - n_offsets - len(best.values) / len(problem.observations))
-        variance = float(np.sum(residual**2)) / dof
-        if variance == 0:
-            variance = 1e-24 * float(np.mean(observation.measured**2))
-        time = correlation_time(residual - residual.mean())
-        noises.append(Noise(float(np.sqrt(variance * time))))
-        fractions.append(1 / time)
-    return noises, fractions
 
 
 def _held_out(parts: Parts, pose: Callable[..., Problem], guess: np.ndarray, seed: int) -> HeldOut:

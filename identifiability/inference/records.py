@@ -10,6 +10,7 @@ from identifiability.inference.widths import Widths
 from identifiability.provenance import stamp
 
 SCHEMA = 1
+FIT_SCHEMA = 2
 
 
 def widths_record(result: Widths, conditions: Mapping[str, Any]) -> dict[str, Any]:
@@ -26,22 +27,29 @@ def widths_record(result: Widths, conditions: Mapping[str, Any]) -> dict[str, An
 
 def fit_record(result: RecordingFit) -> dict[str, Any]:
     """Plain record of a fit, for JSON."""
-    held = result.held_out
+    held, noisy = result.held_out, result.with_noise
+    driven = result.prepared[0].trial.driven
     return {
-        "schema": SCHEMA,
+        "schema": FIT_SCHEMA,
         **stamp(__name__),
         "model": repr(result.problem.model),
-        "driven": result.prepared[0].trial.driven,
+        "driven": driven,
         "trials": [
             {
                 **p.record(),
-                "noise_sd": noise.sd * fraction**0.5,
-                "independent_fraction": fraction,
+                "noise_level": float(noisy.noises[which].levels[trial]),
             }
-            for p, noise, fraction in zip(
-                result.prepared, result.noises, result.independent_fractions, strict=True
-            )
+            for p, which, trial in zip(result.prepared, noisy.which, noisy.trial, strict=True)
         ],
+        "noise": {
+            "of": "angle [rad]" if driven == "torque" else "torque [Nm]",
+            "carried": "torque [Nm]" if driven == "torque" else "angle [rad]",
+            "estimates": [noise.to_dict() for noise in noisy.noises],
+            "rounds": noisy.rounds,
+            "settled": noisy.settled,
+            "attenuation_corrected": noisy.corrected,
+        },
+        "least_squares": {n: result.least_squares[n] for n in result.least_squares.names},
         "E": result.goodness.error,
         "vaf": result.goodness.vaf,
         **result.widths.to_dict(),

@@ -129,10 +129,10 @@ def settled(trial: Trial, cutoff_hz: float) -> tuple[int, int]:
     n = trial.n_samples
     edge = min(reach(trial, cutoff_hz), int(_LARGEST_SHARE * n))
     long = edge < _SMALL_SHARE * n
-    return edge if long and not _begins_at_rest(trial, max(1, edge // 4)) else 0, n - edge
+    return edge if long and not begins_at_rest(trial, max(1, edge // 4)) else 0, n - edge
 
 
-def _begins_at_rest(trial: Trial, n: int) -> bool:
+def begins_at_rest(trial: Trial, n: int) -> bool:
     """Whether the angle hardly moves over the first so many samples, which noise barely changes."""
     moved = np.abs(trial.angle[n:] - trial.angle[:-n])
     return bool(moved[0] < _AT_REST * moved.max())

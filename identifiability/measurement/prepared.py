@@ -20,6 +20,7 @@ from identifiability.files import plain
 from identifiability.measurement.filtering import (
     HIGHEST_HZ,
     Lowpass,
+    begins_at_rest,
     cutoff,
     reach,
     settled,
@@ -32,6 +33,9 @@ from identifiability.measurement.trials import Trial, onsets
 LEAD_SAMPLES = 20
 """Quiet samples from which a level and a noise are read; fewer say too little about either."""
 _LEVEL = 4.0  # standard errors that the lead's own scatter does not explain
+# Samples at an end that filter and interpolation make up, and those where it rests and the filter
+# makes up what was there.
+_EDGE, _EDGE_AT_REST = 10, 5
 _LARGEST_SHARE = 0.9  # of the scatter that a lead's mean may have taken with it
 
 
@@ -230,6 +234,39 @@ def prepare(trials: Sequence[Trial], *, lowpass_hz: Lowpass = "auto") -> tuple[P
         cutoff_hz = cutoff(trials, lowpass_hz)
         without_leads = [_imposed_angle(trial, cutoff_hz) for trial in trials]
     return _with_leads(without_leads)
+
+
+def prepare_whole_band(
+    trials: Sequence[Trial], *, lowpass_hz: Lowpass = "auto"
+) -> tuple[Prepared, ...]:
+    """Make trials ready for a likelihood that knows the noise of both channels: nothing filtered.
+
+    As `prepare`, but for the filter. Where the angle was imposed, the recording is thinned to five
+    samples a cycle of the frequency above which its angle is noise more than motion, with all
+    below half of that new rate left as it is: it is finer than that only in noise, and in corners
+    of the motion that no interpolation gets right.
+
+    Parameters
+    ----------
+    trials : sequence of Trial
+        All driven alike.
+    lowpass_hz : float, "auto" or None
+        As for `prepare`; here it only says how far a recording may be thinned.
+
+    Returns
+    -------
+    tuple of Prepared
+    """
+    if not trials or trials[0].driven == "torque":
+        return prepare(trials)
+    cutoff_hz = cutoff(trials, lowpass_hz) or HIGHEST_HZ
+    ready = prepare([t.thinned(stride(t, cutoff_hz)) for t in trials], lowpass_hz=None)
+    return tuple(
+        p.part(
+            p.first + (_EDGE_AT_REST if begins_at_rest(p.trial, _EDGE) else _EDGE), p.last - _EDGE
+        )
+        for p in ready
+    )
 
 
 def _imposed_torque(trial: Trial) -> tuple[Prepared, int]:

@@ -223,6 +223,29 @@ class Trial:
             angle=self.angle[every],
         )
 
+    def thinned(self, factor: int) -> Trial:
+        """Return every `factor`-th sample, freed of what would fold back.
+
+        A symmetric filter that leaves lower frequencies as they are, of ten kept samples to either
+        side. Beyond both ends the recording is taken to stay as it is there.
+
+        Raises
+        ------
+        InputError
+            If the factor is not a whole number of at least 1, or leaves fewer than three samples.
+        """
+        sparse, reach = self.decimate(factor), 10 * int(factor)
+        taps = signal.firwin(2 * reach + 1, 1 / factor) if factor > 1 else np.ones(1)
+
+        def kept(values: np.ndarray) -> np.ndarray:
+            around = np.pad(values, taps.size // 2, mode="edge")
+            return np.asarray(signal.fftconvolve(around, taps, mode="valid")[:: int(factor)])
+
+        note = f"one sample in {int(factor)} kept, behind a filter against aliasing"
+        return self._changed(
+            note, time=sparse.time, torque=kept(self.torque), angle=kept(self.angle)
+        )
+
     def centred(self, how: Literal["mean", "baseline", "none"]) -> Trial:
         """Return the trial as deviations from its operating point.
 

@@ -38,13 +38,14 @@ def fit_text(result: RecordingFit) -> str:
     def quality(goodness: Goodness) -> str:
         return f"E = {goodness.error:.3g}, VAF = {goodness.vaf:.2f} %"
 
-    lines = [widths_text(result.widths), "", f"{quality(result.goodness)} on all that was fitted"]
-    share = min(result.independent_fractions)
-    if share < 0.5:
-        lines.append(
-            f"the residual is correlated: only {100 * share:.2g} % of the samples count as "
-            "independent, and the widths are computed for these"
-        )
+    least = result.least_squares
+    values = ", ".join(f"{n} {least[n]:.4g}" for n in least.names)
+    lines = [
+        widths_text(result.widths),
+        "",
+        *_noise_lines(result),
+        f"least squares (smallest E): {values}; {quality(result.goodness)}",
+    ]
     for row in result.widths.rows:
         lines.append(f"{row.name}: {row.verdict}, {row.reason}")
     for w in result.windows:
@@ -61,3 +62,23 @@ def fit_text(result: RecordingFit) -> str:
         lines.append(f"{quality(held.goodness_held_out)} on {held.held_out}, which was not fitted")
     lines += [f"note: {warning}" for warning in result.warnings]
     return "\n".join(lines)
+
+
+def _noise_lines(result: RecordingFit) -> list[str]:
+    """The noise that the widths are computed for."""
+    driven = result.prepared[0].trial.driven
+    here, there = ("angle", "torque") if driven == "torque" else ("torque", "angle")
+    units = {"angle": "rad", "torque": "Nm"}
+    lines = []
+    intervals = sorted({o.drive.interval for o in result.problem.observations})
+    for noise, interval in zip(result.with_noise.noises, intervals, strict=False):
+        colour = "white" if noise.own.ar.size == noise.own.ma.size == 1 else "coloured"
+        found = f"noise: {noise.rms:.2g} {units[here]} rms in the {here}, its own part {colour}"
+        if noise.carried is not None:
+            found += (
+                f"; {noise.carried_sd:.2g} {units[there]} in the {there}, at {1 / interval:.4g} Hz"
+            )
+        lines.append(found)
+    if result.with_noise.corrected:
+        lines.append("what noise of the imposed angle takes off K, B and I is put back")
+    return lines

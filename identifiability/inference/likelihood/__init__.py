@@ -1,0 +1,1 @@
+"""Noise of a recording in both channels: its colour, its level, and what it does to a fit."""

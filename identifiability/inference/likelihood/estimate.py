@@ -1,0 +1,403 @@
+"""Colour and level of the noise that a fit left: orders by AICc, values by restricted likelihood.
+
+The restricted likelihood (REML: Patterson & Thompson 1971, Biometrika 58:545-554) counts what the
+fit and the unknown levels took out of the residual. Without it slow noise seems smaller and faster
+than it is, and intervals are too narrow.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy.optimize
+from scipy.signal import lfilter
+
+from identifiability.files import plain
+from identifiability.inference.likelihood.processes import Process, ProcessSum, Whitening
+
+_ARMA = ((0, 0), (1, 0), (0, 1), (1, 1), (2, 0), (2, 1), (2, 2), (3, 3))
+
+_MOST_SAMPLES, _CHUNK = 4000, 1000  # from which the colour is estimated
+_LONG_AR = 16  # order of the autoregression whose residuals stand for the shocks
+_MOST_CORRELATED = 6.0  # bound of atanh of a partial autocorrelation
+_SHARES = np.geomspace(1e-6, 1e6, 13)  # of carried to own variance, to start from
+_ITERATIONS = 30
+_SHORTLIST = 3
+
+
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """A stretch of samples that follow each other, whose level is unknown.
+
+    Attributes
+    ----------
+    residual : array, shape (n,)
+        Measured minus predicted response.
+    jacobian : array, shape (n, k)
+        Derivatives of the prediction.
+    trial : int
+        Number of the trial it belongs to: trials may differ in level.
+    """
+
+    residual: np.ndarray
+    jacobian: np.ndarray
+    trial: int
+
+
+@dataclass(frozen=True)
+class Order:
+    """What a noise is made of: an ARMA(p, q), and maybe noise carried by the joint."""
+
+    p: int
+    q: int
+    carried: bool
+
+    @property
+    def size(self) -> int:
+        """Number of parameters, the level not counted."""
+        return self.p + self.q + self.carried
+
+
+class Contender(NamedTuple):
+    """An order that is tried, and the optimiser's values to start from; none known without."""
+
+    order: Order
+    values: np.ndarray = np.empty(0)
+
+
+def contenders(*, carried: tuple[bool, ...]) -> tuple[Contender, ...]:
+    """Orders that are tried, without carried noise, with it, or both."""
+    return tuple(Contender(Order(p, q, with_it)) for with_it in carried for p, q in _ARMA)
+
+
+@dataclass(frozen=True, eq=False)
+class NoiseEstimate:
+    """Noise of the compared channel of trials that are sampled alike.
+
+    Attributes
+    ----------
+    own : Process
+        The instrument's, whatever its colour [rad or Nm].
+    carried : Process or None
+        White noise of the other channel after the joint; ``sd`` is that of the other channel's
+        samples [Nm or rad], after thinning where they were thinned.
+    levels : array, shape (n_trials,)
+        Factors of the standard deviations by trial; 1 where trials do not differ.
+    rms : float
+        Root mean square of the residual about its level [rad or Nm]. The processes' own standard
+        deviation says nothing where they drift.
+    tried : int
+        Number of orders that were tried.
+    converged : bool
+        Whether the optimiser ended by itself.
+    """
+
+    own: Process
+    carried: Process | None
+    levels: np.ndarray
+    rms: float
+    tried: int
+    converged: bool
+
+    @cached_property
+    def noise(self) -> ProcessSum:
+        """The sum of both, at level 1."""
+        return ProcessSum((self.own,) if self.carried is None else (self.own, self.carried))
+
+    @property
+    def carried_sd(self) -> float:
+        """Standard deviation of the other channel's noise [Nm or rad] at level 1; 0 without."""
+        return 0.0 if self.carried is None else self.carried.sd
+
+    def to_dict(self) -> dict[str, Any]:
+        """Plain record, for JSON."""
+        found: dict[str, Any] = plain(
+            {
+                "rms": self.rms,
+                "own": {"ar": self.own.ar, "ma": self.own.ma, "sd": self.own.sd},
+                "carried_sd": self.carried_sd,
+                "levels": self.levels,
+                "orders_tried": self.tried,
+                "converged": self.converged,
+            }
+        )
+        return found
+
+
+def estimate_noise(
+    stretches: Sequence[Stretch],
+    carried: Process | None,
+    tried: Sequence[Contender],
+) -> tuple[NoiseEstimate, tuple[Contender, ...]]:
+    """Estimate the noise of residuals, given the parameters of the model.
+
+    Parameters
+    ----------
+    stretches : sequence of Stretch
+        Sampled alike.
+    carried : Process or None
+        What noise of the other channel with a standard deviation of 1 would add.
+    tried : sequence of Contender
+        Of which the best by AICc (Hurvich & Tsai 1989, Biometrika 76:297-307) is taken.
+
+    Returns
+    -------
+    NoiseEstimate
+    tuple of Contender
+        The best of them, the best first.
+
+    Raises
+    ------
+    ValueError
+        Where no order has a finite likelihood.
+    """
+    trials = 1 + max(s.trial for s in stretches)
+    scale = np.sqrt(np.mean(np.concatenate([_level(s.residual) ** 2 for s in stretches])))
+    if scale == 0:
+        # A perfect fit: any level will do that is far below what a computer resolves.
+        quiet = Process(np.ones(1), np.ones(1), 1e-12)
+        return NoiseEstimate(quiet, None, np.ones(trials), 0.0, 0, True), tuple(tried)
+    scaled = [Stretch(s.residual / scale, s.jacobian, s.trial) for s in stretches]
+    if carried is not None:
+        carried = Process(carried.ar, carried.ma, 1.0 / np.sqrt(carried.autocovariance(0)[0]))
+    chosen = _Sample(_budget(scaled), carried)
+    ranked = chosen.ranked(tried)
+    if not ranked:
+        raise ValueError("found no noise that gives the residual a finite likelihood")
+    order, values = ranked[0].order, ranked[0].values
+    values, _, converged = chosen.fitted(order, values, restricted=True)
+    levels = np.ones(trials)
+    if trials > 1:
+        found = _levels(scaled, chosen.noise(order, values), trials)
+        if found is not None:
+            levels = found
+            scaled = [
+                Stretch(s.residual / levels[s.trial], s.jacobian / levels[s.trial], s.trial)
+                for s in scaled
+            ]
+            chosen = _Sample(_budget(scaled), carried)
+            values, _, converged = chosen.fitted(order, values, restricted=True)
+    noise = chosen.noise(order, values)
+    sd = scale * np.sqrt(_variance(scaled, noise))
+    parts = [Process(part.ar, part.ma, part.sd * sd) for part in noise.parts]
+    return (
+        NoiseEstimate(
+            parts[0],
+            parts[1] if order.carried else None,
+            levels,
+            float(scale),
+            len(tried),
+            bool(converged),
+        ),
+        (Contender(order, values), *ranked[1:_SHORTLIST]),
+    )
+
+
+def _level(residual: np.ndarray) -> np.ndarray:
+    return residual - residual.mean()
+
+
+def _budget(stretches: Sequence[Stretch]) -> list[Stretch]:
+    """As many of the samples as a colour needs, in pieces from all over the recordings."""
+    if sum(s.residual.size for s in stretches) <= _MOST_SAMPLES:
+        return list(stretches)
+    pieces = []
+    for s in stretches:
+        n = -(-s.residual.size // _CHUNK)
+        ends = np.linspace(0, s.residual.size, n + 1).astype(int)
+        pieces += [Stretch(s.residual[a:b], s.jacobian[a:b], s.trial) for a, b in pairwise(ends)]
+    kept = max(1, len(pieces) * _MOST_SAMPLES // sum(p.residual.size for p in pieces))
+    return [pieces[i] for i in np.unique(np.linspace(0, len(pieces) - 1, kept).astype(int))]
+
+
+def _levels(stretches: Sequence[Stretch], noise: ProcessSum, n: int) -> np.ndarray | None:
+    """Levels by trial, where they differ by more than an AIC allows; their mean square is 1."""
+    squares, counts = np.zeros(n), np.zeros(n)
+    whitening = noise.whitening(max(s.residual.size for s in stretches))
+    for s in stretches:
+        white = _without_level(whitening, s.residual[:, None])[:, 0]
+        squares[s.trial] += white @ white
+        counts[s.trial] += white.size - 1
+    variances = squares / np.maximum(counts, 1)
+    if np.any(variances <= 0):
+        return None
+    common = squares.sum() / counts.sum()
+    gain = counts.sum() * np.log(common) - counts @ np.log(variances)
+    return np.sqrt(variances / common) if gain > 2 * (n - 1) else None
+
+
+def _variance(stretches: Sequence[Stretch], noise: ProcessSum) -> float:
+    """Variance of the whitened residual of all stretches, by its degrees of freedom."""
+    whitening = noise.whitening(max(s.residual.size for s in stretches))
+    squares = sum(
+        float(np.sum(_without_level(whitening, s.residual[:, None]) ** 2)) for s in stretches
+    )
+    freedom = sum(s.residual.size - 1 for s in stretches) - stretches[0].jacobian.shape[1]
+    return squares / max(1, freedom)
+
+
+def _without_level(whitening: Whitening, columns: np.ndarray) -> np.ndarray:
+    white = whitening(np.column_stack([columns, np.ones(len(columns))]))
+    level = white[:, -1] / np.linalg.norm(white[:, -1])
+    return white[:, :-1] - np.outer(level, level @ white[:, :-1])
+
+
+class _Sample:
+    """Stretches by length, and their likelihood as a function of the noise's parameters."""
+
+    def __init__(self, stretches: Sequence[Stretch], carried: Process | None) -> None:
+        self.carried = carried
+        self.by_length: dict[int, tuple[np.ndarray, np.ndarray]] = {}
+        self.k = stretches[0].jacobian.shape[1]
+        size = np.sqrt(np.mean(np.concatenate([s.jacobian for s in stretches]) ** 2, axis=0))
+        size[size == 0] = 1.0
+        for n in sorted({s.residual.size for s in stretches}):
+            those = [s for s in stretches if s.residual.size == n]
+            self.by_length[n] = (
+                np.column_stack([s.residual for s in those]),
+                np.column_stack([s.jacobian / size for s in those]),
+            )
+        self.n_samples = sum(n * r.shape[1] for n, (r, _) in self.by_length.items())
+        self.shortest = min(self.by_length)
+        centred = [_level(s.residual) for s in stretches]
+        shocks = _reflections(centred, min(_LONG_AR, self.shortest // 6))
+        self._shocks = [lfilter(_polynomial(shocks), [1.0], r) for r in centred]
+        self._centred = centred
+
+    def ranked(self, tried: Sequence[Contender]) -> list[Contender]:
+        """Candidates with the values of their best fit, the best by AICc first."""
+        found = []
+        for i, (order, known) in enumerate(tried):
+            spare = self.n_samples - order.size - 2
+            if spare <= 0 or 4 * (order.p + order.q) > self.shortest:
+                continue
+            values = known if known.size else self.start(order)
+            if len(tried) == 1:
+                return [Contender(order, values)]
+            values, cost, _ = self.fitted(order, values, restricted=False)
+            criterion = 2 * cost + 2 * order.size * self.n_samples / spare
+            if np.isfinite(criterion):
+                found.append((criterion, i, Contender(order, values)))
+        return [contender for _, _, contender in sorted(found, key=lambda f: f[:2])]
+
+    def noise(self, order: Order, values: np.ndarray) -> ProcessSum:
+        """The noise that the optimiser's values stand for, its own innovations of variance 1."""
+        partial = np.tanh(values[: order.p + order.q])
+        own = Process(_polynomial(partial[: order.p]), _polynomial(partial[order.p :]))
+        if not order.carried or self.carried is None:
+            return ProcessSum((own,))
+        sd = self.carried.sd * np.exp(values[-1])
+        return ProcessSum((own, Process(self.carried.ar, self.carried.ma, sd)))
+
+    def start(self, order: Order) -> np.ndarray:
+        """Values to start from (Hannan & Rissanen 1982, Biometrika 69:81-94)."""
+        if order.carried:
+            start = np.zeros(order.size)
+            start[: min(1, order.p)] = -0.5
+            costs = []
+            for share in _SHARES:
+                start[-1] = 0.5 * np.log(share)
+                costs.append(self.cost(order, start, restricted=False))
+            start[-1] = 0.5 * np.log(_SHARES[int(np.argmin(costs))])
+            return start
+        if not order.size:
+            return np.zeros(0)
+        p, q, m = order.p, order.q, max(order.p, order.q)
+        rows, targets = [], []
+        for r, e in zip(self._centred, self._shocks, strict=True):
+            lagged = [-r[m - i : r.size - i] for i in range(1, p + 1)]
+            lagged += [e[m - j : r.size - j] for j in range(1, q + 1)]
+            rows.append(np.column_stack(lagged))
+            targets.append(r[m:])
+        found = np.linalg.lstsq(np.concatenate(rows), np.concatenate(targets), rcond=None)[0]
+        partial = np.concatenate([_partials(found[:p]), _partials(found[p:])])
+        return np.asarray(np.arctanh(partial))
+
+    def cost(self, order: Order, values: np.ndarray, *, restricted: bool) -> float:
+        """Minus the log likelihood, the level of the noise and those of stretches profiled out."""
+        try:
+            whitening = self.noise(order, values).whitening(max(self.by_length))
+            squares = determinant = 0.0
+            information = np.zeros((self.k, self.k))
+            freedom = 0
+            for n, (residuals, jacobians) in self.by_length.items():
+                m = residuals.shape[1]
+                columns = [residuals, np.ones((n, 1))] + ([jacobians] if restricted else [])
+                white = whitening(np.concatenate(columns, axis=1))
+                length = np.linalg.norm(white[:, m])
+                level = white[:, m] / length
+                white -= np.outer(level, level @ white)
+                squares += float(np.sum(white[:, :m] ** 2))
+                determinant += m * (whitening.log_determinant(n) + 2 * np.log(length))
+                freedom += m * (n - 1)
+                if restricted:
+                    part = white[:, m + 1 :].reshape(-1, self.k)
+                    information += part.T @ part
+            if restricted:
+                freedom -= self.k
+                determinant += float(np.linalg.slogdet(information)[1])
+        except np.linalg.LinAlgError:
+            return np.inf
+        return 0.5 * (freedom * np.log(squares / freedom) + determinant)
+
+    def fitted(
+        self, order: Order, start: np.ndarray, *, restricted: bool
+    ) -> tuple[np.ndarray, float, bool]:
+        """Best values, their cost, and whether the optimiser ended by itself."""
+        if not order.size:
+            return start, self.cost(order, start, restricted=restricted), True
+
+        def cost(values: np.ndarray) -> float:
+            found = self.cost(order, values, restricted=restricted)
+            return found if np.isfinite(found) else 1e10
+
+        bounds = [(-_MOST_CORRELATED, _MOST_CORRELATED)] * (order.p + order.q)
+        if order.carried:
+            bounds.append((0.5 * np.log(_SHARES[0]) - 3, 0.5 * np.log(_SHARES[-1]) + 3))
+        found = scipy.optimize.minimize(
+            cost,
+            np.clip(start, *np.transpose(bounds)),
+            method="L-BFGS-B",
+            bounds=bounds,
+            options={"maxiter": _ITERATIONS, "ftol": 1e-8, "eps": 1e-5},
+        )
+        return found.x, float(found.fun), bool(found.success)
+
+
+def _reflections(pieces: Sequence[np.ndarray], order: int) -> np.ndarray:
+    """Partial autocorrelations by Burg's method, pooled over pieces."""
+    forward, backward, found = list(pieces), list(pieces), []
+    for _ in range(order):
+        ahead = [f[1:] for f in forward]
+        behind = [b[:-1] for b in backward]
+        shared = sum(float(f @ b) for f, b in zip(ahead, behind, strict=True))
+        power = sum(float(f @ f + b @ b) for f, b in zip(ahead, behind, strict=True))
+        k = -2 * shared / power if power else 0.0
+        forward = [f + k * b for f, b in zip(ahead, behind, strict=True)]
+        backward = [b + k * f for f, b in zip(ahead, behind, strict=True)]
+        found.append(k)
+    return np.array(found)
+
+
+def _polynomial(partial: np.ndarray) -> np.ndarray:
+    """Polynomial, first coefficient 1, of which these are the partial autocorrelations."""
+    found = np.ones(1)
+    for k in partial:
+        longer = np.append(found, 0.0)
+        found = longer + k * longer[::-1]
+    return found
+
+
+def _partials(coefficients: np.ndarray) -> np.ndarray:
+    """Inverse of `_polynomial`, moved inside the bounds where that has none."""
+    found, rest = [], np.concatenate([[1.0], coefficients])
+    while rest.size > 1:
+        k = float(np.clip(rest[-1], -0.98, 0.98))
+        found.append(k)
+        rest = (rest - k * rest[::-1])[:-1] / (1 - k**2)
+    return np.array(found[::-1])

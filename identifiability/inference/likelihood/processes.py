@@ -1,0 +1,162 @@
+"""Stationary Gaussian noise with a rational spectrum, and its exact covariance.
+
+Noise in what is compared has two sources. One is the instrument's own and may have any colour: an
+autoregressive moving average (ARMA). The other came in through the joint: noise of the other
+channel, which the joint's impedance or admittance carries over. Their sum, filtered by the product
+of both autoregressions, is a moving average, whose covariance is banded: its Cholesky factor takes
+a time proportional to the number of samples (Ansley 1979, Biometrika 66:59-65).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg
+from scipy.signal import lfilter
+
+_CONVERGED = 1500  # rows after which the factor of a stationary process repeats itself
+
+
+@dataclass(frozen=True, eq=False)
+class Process:
+    """White noise through a rational filter: ``ar(z) x = sd ma(z) e``.
+
+    Attributes
+    ----------
+    ar : array, shape (p + 1,)
+        Autoregression, of which the first is 1; its zeros lie within the unit circle.
+    ma : array, shape (q + 1,)
+        Moving average.
+    sd : float
+        Standard deviation of e, in the unit of x where the first of `ma` is 1.
+    """
+
+    ar: np.ndarray
+    ma: np.ndarray
+    sd: float = 1.0
+
+    def autocovariance(self, lags: int) -> np.ndarray:
+        """Autocovariance at lags 0 to `lags`, shape (lags + 1,).
+
+        From the Yule-Walker equations (Brockwell & Davis 1991, Time Series: Theory and Methods,
+        section 3.3).
+        """
+        p, q = self.ar.size - 1, self.ma.size - 1
+        impulse = self.impulse_response(max(p, q, lags) + 1)
+        shared = np.zeros(max(p, lags) + 1)
+        for lag in range(min(q, shared.size - 1) + 1):
+            shared[lag] = self.ma[lag:] @ impulse[: q + 1 - lag]
+        system = np.zeros((p + 1, p + 1))
+        for lag in range(p + 1):
+            for i in range(p + 1):
+                system[lag, abs(lag - i)] += self.ar[i]
+        found = np.zeros(shared.size)
+        found[: p + 1] = np.linalg.solve(system, shared[: p + 1])
+        for lag in range(p + 1, shared.size):
+            found[lag] = shared[lag] - self.ar[1:] @ found[lag - 1 : lag - p - 1 : -1][:p]
+        return self.sd**2 * found[: lags + 1]
+
+    def impulse_response(self, n: int) -> np.ndarray:
+        """Response to a unit of e, without `sd`, shape (n,)."""
+        unit = np.zeros(n)
+        unit[0] = 1.0
+        response: np.ndarray = lfilter(self.ma, self.ar, unit)
+        return response
+
+    def draw(self, n: int, generator: np.random.Generator) -> np.ndarray:
+        """Draw noise from the process, shape (n,), after a run that forgets its beginning."""
+        before = 20 * (self.ar.size + self.ma.size) + 4 * n
+        shocks = self.sd * generator.standard_normal(before + n)
+        drawn: np.ndarray = lfilter(self.ma, self.ar, shocks)[before:]
+        return drawn
+
+
+@dataclass(frozen=True, eq=False)
+class ProcessSum:
+    """Sum of independent processes: what whitens a residual.
+
+    Attributes
+    ----------
+    parts : sequence of Process
+    """
+
+    parts: Sequence[Process]
+
+    def whitening(self, n: int) -> Whitening:
+        """What turns up to `n` samples of the noise into independent ones of variance 1."""
+        ar = self.parts[0].ar
+        for part in self.parts[1:]:
+            ar = np.convolve(ar, part.ar)
+        moving = []
+        for i, part in enumerate(self.parts):
+            ma = part.ma
+            for other in (*self.parts[:i], *self.parts[i + 1 :]):
+                ma = np.convolve(ma, other.ar)
+            moving.append(part.sd * ma)
+        head = ar.size - 1
+        width = max(head, *(ma.size - 1 for ma in moving))
+        rows = min(n, _CONVERGED + width)
+        band = np.zeros((width + 1, rows))
+        for part, ma in zip(self.parts, moving, strict=True):
+            lagged = np.correlate(ma, ma, "full")[ma.size - 1 :]
+            band[: ma.size, head:] += lagged[:, None]
+            if head:
+                band[:, :head] += _beginning(part, ma, head, width)[:, : min(head, rows)]
+        factor = scipy.linalg.cholesky_banded(band, lower=True, check_finite=False)
+        if n > rows:
+            # Where the band ends, columns lack what would follow: the last whole one repeats.
+            last = factor[:, rows - width - 1]
+            factor = np.concatenate(
+                [factor[:, : rows - width], np.repeat(last[:, None], n - rows + width, axis=1)],
+                axis=1,
+            )
+        return Whitening(ar, factor)
+
+
+def _beginning(part: Process, ma: np.ndarray, head: int, width: int) -> np.ndarray:
+    """Covariance of the first samples, which are not filtered, with those that follow."""
+    columns = np.zeros((width + 1, head))
+    own = part.autocovariance(head)
+    impulse = part.sd * part.impulse_response(ma.size)
+    later = np.zeros(width + 1)
+    for lag in range(min(width, ma.size - 1) + 1):
+        later[lag] = ma[lag:] @ impulse[: ma.size - lag]
+    for first in range(head):
+        columns[: head - first, first] = own[: head - first]
+        columns[head - first :, first] = later[head - first :]
+    return columns
+
+
+@dataclass(frozen=True, eq=False)
+class Whitening:
+    """Whitening of a noise: an autoregression, then a triangular banded solution.
+
+    Attributes
+    ----------
+    ar : array, shape (p + 1,)
+        Filters all samples but the first p.
+    factor : array, shape (w + 1, n)
+        Lower Cholesky factor of the covariance of what then is left, by diagonals.
+    """
+
+    ar: np.ndarray
+    factor: np.ndarray
+
+    def __call__(self, values: np.ndarray) -> np.ndarray:
+        """Whiten the columns of `values`, shape (m, k), of m samples that follow each other."""
+        m, head = len(values), self.ar.size - 1
+        filtered = values.copy()
+        for lag in range(1, head + 1):
+            filtered[head:] += self.ar[lag] * values[head - lag : m - lag]
+        factor = self.factor[:, :m]
+        white, failed = scipy.linalg.lapack.dtbtrs(factor, filtered, uplo="L")
+        if failed:
+            raise np.linalg.LinAlgError("a noise without variance")
+        found: np.ndarray = white
+        return found
+
+    def log_determinant(self, n: int) -> float:
+        """Logarithm of the determinant of the covariance of `n` samples."""
+        return float(2 * np.sum(np.log(self.factor[0, :n])))

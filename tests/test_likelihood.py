@@ -1,0 +1,226 @@
+"""The likelihood of noisy recordings: exact where that can be checked, and covering where not."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import scipy.linalg
+from scipy import signal
+
+from identifiability.benchmark import coverage
+from identifiability.inference.curvature import curvature
+from identifiability.inference.fitting import fit
+from identifiability.inference.likelihood import carried, coloured
+from identifiability.inference.likelihood.estimate import (
+    NoiseEstimate,
+    Stretch,
+    contenders,
+    estimate_noise,
+)
+from identifiability.inference.likelihood.processes import Process, ProcessSum
+from identifiability.inference.recordings import fit_with_noise
+from identifiability.measurement.perturbations import imposed_motion
+from identifiability.measurement.prepared import prepare_whole_band
+from identifiability.measurement.trials import Trial
+
+OWN = Process(np.array([1.0, -1.5, 0.7]), np.array([1.0, 0.4, 0.2]), 0.7)
+CARRIED = Process(np.array([1.0, -0.9]), np.array([0.2, -1.0, 0.5, 0.1]), 1.3)
+
+
+def spectral_covariance(n, *processes):
+    """Covariance matrix by an integral over the spectrum."""
+    z = np.exp(-2j * np.pi * np.arange(8192) / 8192)
+    density = sum(
+        p.sd**2 * np.abs(np.polyval(p.ma[::-1], z) / np.polyval(p.ar[::-1], z)) ** 2
+        for p in processes
+    )
+    return scipy.linalg.toeplitz(np.fft.ifft(density).real[:n])
+
+
+@pytest.mark.parametrize(
+    "processes", [(OWN,), (CARRIED,), (OWN, CARRIED), (Process(np.ones(1), np.ones(1), 2.0),)]
+)
+@pytest.mark.parametrize("n", [3, 60])
+def test_whitening_is_that_of_the_covariance(processes, n):
+    covariance = spectral_covariance(n, *processes)
+    whitening = ProcessSum(processes).whitening(n)
+    white = whitening(np.eye(n))
+    np.testing.assert_allclose(white @ covariance @ white.T, np.eye(n), atol=1e-9)
+    _, log_determinant = np.linalg.slogdet(covariance)
+    assert whitening.log_determinant(n) == pytest.approx(log_determinant, abs=1e-8)
+
+
+def test_a_long_record_is_whitened_as_a_short_one_would_be():
+    noise = ProcessSum((OWN, CARRIED))
+    values = np.random.default_rng(1).standard_normal((2500, 1))
+    long = noise.whitening(2500)(values)
+    covariance = spectral_covariance(2500, OWN, CARRIED)
+    factor = np.linalg.cholesky(covariance)
+    np.testing.assert_allclose(
+        long[:, 0], scipy.linalg.solve_triangular(factor, values[:, 0], lower=True), atol=1e-8
+    )
+
+
+def test_compiled_whitening_is_that_of_the_covariance():
+    noise = NoiseEstimate(OWN, CARRIED, np.array([1.0, 2.0]), 1.0, 1, True)
+    stretches = [[np.arange(5, 45), np.arange(50, 80)], [np.arange(60)]]
+    colour = coloured.Colour([noise], [0, 0], [0, 1], stretches, None, np.ones(3))
+    residual = np.random.default_rng(2).standard_normal((2, 90))
+    found = np.asarray(coloured.whitened(residual, np.ones(3), colour.arrays()))
+    found = found.reshape(2, 2, 60)
+    for row, level in enumerate((1.0, 2.0)):
+        for i, samples in enumerate(stretches[row]):
+            factor = np.linalg.cholesky(spectral_covariance(samples.size, OWN, CARRIED))
+            white = np.linalg.solve(factor, residual[row, samples]) / level
+            constant = np.linalg.solve(factor, np.ones(samples.size))
+            constant /= np.linalg.norm(constant)
+            expected = white - constant * (constant @ white)
+            np.testing.assert_allclose(found[row, i, : samples.size], expected, atol=1e-8)
+            assert not found[row, i, samples.size :].any()
+
+
+def test_carried_noise_is_that_of_the_response():
+    joint, interval = np.array([40.0, 1.5, 0.05]), 0.004
+    random = np.random.default_rng(3)
+    angle = random.standard_normal(4000)
+    torque = imposed_motion(interval * np.arange(4000), angle).signals @ joint
+    expected = carried.by_impedance(joint, interval).autocovariance(3)
+    inner = torque[50:-50]
+    found = [np.mean(inner[: inner.size - lag] * inner[lag:]) for lag in range(4)]
+    np.testing.assert_allclose(found, expected, atol=0.08 * expected[0])
+    push = random.standard_normal(20000)
+    system = signal.lti([1.0], [joint[2], joint[1], joint[0]])
+    _, moved, _ = signal.lsim(system, push, interval * np.arange(push.size))
+    assert np.var(moved[2000:]) == pytest.approx(
+        carried.by_admittance(joint, interval).autocovariance(0)[0], rel=0.15
+    )
+
+
+def residuals_of(process, n, pieces, seed):
+    random = np.random.default_rng(seed)
+    slope = np.linspace(-1, 1, n)[:, None]
+    return [Stretch(process.draw(n, random), slope, i) for i in range(pieces)]
+
+
+@pytest.mark.parametrize("rho", [0.0, 0.9, 0.99])
+def test_the_colour_is_found(rho):
+    process = Process(np.array([1.0, -rho]), np.ones(1), 0.3)
+    noise, _ = estimate_noise(residuals_of(process, 500, 6, 4), None, contenders(carried=(False,)))
+    frequencies = np.exp(-2j * np.pi * np.array([0.01, 0.05, 0.2, 0.45]))
+
+    def density(p):
+        return np.abs(
+            p.sd * np.polyval(p.ma[::-1], frequencies) / np.polyval(p.ar[::-1], frequencies)
+        )
+
+    np.testing.assert_allclose(density(noise.own), density(process), rtol=0.25)
+    assert noise.converged
+
+
+def test_restricted_likelihood_does_not_make_slow_noise_faster():
+    """Plain likelihood takes what levels and slopes absorb for absent: the control."""
+    process = Process(np.array([1.0, -0.99]), np.ones(1), 1.0)
+    found = []
+    for seed in range(20):
+        stretches = residuals_of(process, 120, 6, 100 + seed)
+        noise, _ = estimate_noise(stretches, None, contenders(carried=(False,))[1:2])
+        centred = np.concatenate([s.residual - s.residual.mean() for s in stretches])
+        plain = centred[1:] @ centred[:-1] / (centred @ centred)
+        found.append((-noise.own.ar[1], plain))
+    restricted, plain = np.mean(found, axis=0)
+    assert abs(restricted - 0.99) < 0.006
+    assert plain < 0.975
+
+
+def test_trials_that_differ_in_level_are_told_apart():
+    random = np.random.default_rng(6)
+    levels = (1.0, 1.0, 4.0)
+    stretches = [
+        Stretch(level * random.standard_normal(400), np.ones((400, 1)) * np.arange(400)[:, None], i)
+        for i, level in enumerate(levels)
+    ]
+    noise, _ = estimate_noise(stretches, None, contenders(carried=(False,)))
+    assert noise.levels[2] / noise.levels[0] == pytest.approx(4, rel=0.15)
+    alike = [
+        Stretch(s.residual / level, s.jacobian, s.trial)
+        for s, level in zip(stretches, levels, strict=True)
+    ]
+    noise, _ = estimate_noise(alike, None, contenders(carried=(False,)))
+    assert np.ptp(noise.levels) == 0
+
+
+def servo(angle_noise, seed, rate=500, duration=0.8, trials=6):
+    """Trials of a joint whose angle is imposed, and its K, B and I."""
+    random = np.random.default_rng(seed)
+    joint = np.array([30.0, 1.2, 0.1])
+    found = []
+    for i in range(trials):
+        time = np.arange(0, duration, 1 / rate)
+        torque, angle = coverage._moved(joint, time, random)
+        torque = torque + 0.01 * random.standard_normal(time.size)
+        angle = angle + angle_noise * random.standard_normal(time.size)
+        found.append(Trial(time, torque, angle, driven="angle", name=str(i)))
+    return found, joint
+
+
+def test_noise_of_an_imposed_angle_does_not_make_the_inertia_too_small():
+    """The same weights without the correction are the control: they do make it too small."""
+    mended, plain = [], []
+    for seed in range(4):
+        trials, joint = servo(3e-4, seed, rate=200, duration=20, trials=1)
+        noisy = fit_with_noise(trials)
+        assert noisy.settled
+        assert noisy.corrected
+        # White noise that is thinned keeps its density.
+        thinned = noisy.problem.interval / trials[0].dt
+        assert noisy.noises[0].carried_sd * np.sqrt(thinned) == pytest.approx(3e-4, rel=0.1)
+        sd = np.sqrt(np.diag(curvature(noisy.problem, noisy.fit.values).covariance))
+        mended.append((noisy.fit.values - joint) / sd)
+        uncorrected = replace(noisy.problem, colour=replace(noisy.problem.colour, excess=None))
+        plain.append((fit(uncorrected, noisy.fit.values[None]).values - joint) / sd)
+    assert np.all(np.abs(np.mean(mended, axis=0)) < 3.5 / np.sqrt(4))
+    assert np.mean(plain, axis=0)[2] < -2
+
+
+def test_result_hardly_depends_on_how_far_a_recording_is_thinned():
+    trials, _ = servo(1e-4, 20, rate=1000)
+    found = []
+    for lowpass_hz in (30.0, 60.0):
+        whole_band = prepare_whole_band(trials, lowpass_hz=lowpass_hz)
+        assert whole_band[0].interval > trials[0].dt
+        found.append(fit_with_noise(trials, lowpass_hz=lowpass_hz))
+    first, second = found
+    sd = np.sqrt(np.diag(curvature(first.problem, first.fit.values).covariance))
+    assert np.all(np.abs(first.fit.values - second.fit.values) < 2 * sd)
+
+
+def test_unequal_rates_and_levels_are_fitted_together():
+    slow, joint = servo(0.0, 30, rate=200)
+    fast, _ = servo(0.0, 31, rate=500)
+    noisy = fit_with_noise([*slow[:3], *fast[:3]])
+    assert len(noisy.noises) == 2
+    sd = np.sqrt(np.diag(curvature(noisy.problem, noisy.fit.values).covariance))
+    assert np.all(np.abs(noisy.fit.values - joint) < 4 * sd)
+
+
+@pytest.mark.parametrize("imposed", ["torque", "angle"])
+@pytest.mark.parametrize("kind", ["AR 0.99", "both channels"])
+def test_intervals_cover(kind, imposed):
+    """Squared errors in stated widths are those of a Gaussian, within Monte Carlo error."""
+    task = coverage.Task(kind, imposed, 77, 0, 6)
+    found = coverage.errors(task)
+    scaled = found["error"] / found["sd"]
+    assert np.all(np.isfinite(scaled))
+    # 18 numbers, three of each recording correlated: bounds of a chi square of half as many.
+    assert 0.2 < np.mean(scaled**2) < 2.8
+
+
+def test_a_recording_comes_from_its_seed():
+    for imposed in ("torque", "angle"):
+        seed = np.random.SeedSequence([1, 2])
+        first, _ = coverage.recording("encoder", imposed, seed)
+        second, _ = coverage.recording("encoder", imposed, np.random.SeedSequence([1, 2]))
+        assert all(
+            np.array_equal(a.angle, b.angle) and np.array_equal(a.torque, b.torque)
+            for a, b in zip(first, second, strict=True)
+        )
