@@ -24,7 +24,7 @@ _ARMA = ((0, 0), (1, 0), (0, 1), (1, 1), (2, 0), (2, 1), (2, 2), (3, 3))
 
 _MOST_SAMPLES, _CHUNK = 4000, 1000  # from which the colour is estimated
 _LONG_AR = 16  # order of the autoregression whose residuals stand for the shocks
-_MOST_CORRELATED = 6.0  # bound of atanh of a partial autocorrelation
+_MOST_CORRELATED = 5.0  # bound of atanh of a partial autocorrelation
 _SHARES = np.geomspace(1e-6, 1e6, 13)  # of carried to own variance, to start from
 _ITERATIONS = 30
 _SHORTLIST = 3
@@ -366,7 +366,8 @@ class _Sample:
             bounds=bounds,
             options={"maxiter": _ITERATIONS, "ftol": 1e-8, "eps": 1e-5},
         )
-        return found.x, float(found.fun), bool(found.success)
+        # A line search that finds nothing lower has ended too: at what differences can resolve.
+        return found.x, float(found.fun), bool(found.nit < _ITERATIONS)
 
 
 def _reflections(pieces: Sequence[np.ndarray], order: int) -> np.ndarray:

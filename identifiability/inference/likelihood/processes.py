@@ -16,6 +16,9 @@ import numpy as np
 import scipy.linalg
 from scipy.signal import lfilter
 
+# Shares of the variance. Without so much white noise a covariance that has all but none at some
+# frequency is indefinite by rounding.
+_ROUNDING = (1e-13, 1e-11, 1e-9)
 _CONVERGED = 1500  # rows after which the factor of a stationary process repeats itself
 
 
@@ -104,7 +107,7 @@ class ProcessSum:
             band[: ma.size, head:] += lagged[:, None]
             if head:
                 band[:, :head] += _beginning(part, ma, head, width)[:, : min(head, rows)]
-        factor = scipy.linalg.cholesky_banded(band, lower=True, check_finite=False)
+        factor = _factor(band)
         if n > rows:
             # Where the band ends, columns lack what would follow: the last whole one repeats.
             last = factor[:, rows - width - 1]
@@ -113,6 +116,24 @@ class ProcessSum:
                 axis=1,
             )
         return Whitening(ar, factor)
+
+
+def _factor(band: np.ndarray) -> np.ndarray:
+    """Cholesky factor of a banded covariance, with as little white noise added as it takes."""
+    for share in _ROUNDING[:-1]:
+        try:
+            return _cholesky(band, share)
+        except np.linalg.LinAlgError:
+            continue
+    return _cholesky(band, _ROUNDING[-1])
+
+
+def _cholesky(band: np.ndarray, share: float) -> np.ndarray:
+    raised = np.concatenate([band[:1] * (1 + share), band[1:]])
+    factor: np.ndarray = scipy.linalg.cholesky_banded(
+        raised, lower=True, overwrite_ab=True, check_finite=False
+    )
+    return factor
 
 
 def _beginning(part: Process, ma: np.ndarray, head: int, width: int) -> np.ndarray:
