@@ -28,9 +28,9 @@ def add_parser(commands: Any) -> None:
     parser = commands.add_parser(
         "fit",
         help="K, B and I of recorded trials, with every width",
-        description="Fit stiffness, damping and inertia to recorded trials and report every width, "
-        "the error E and the VAF, the fit's dependence on the window, and its VAF on data that "
-        "were not fitted.",
+        description="Fit stiffness, damping and inertia to recorded trials, with the noise of both "
+        "channels, and report every width, the error E and the VAF, the fit's dependence on the "
+        "window, and its VAF on data that were not fitted.",
     )
     add_file_options(parser)
     parser.add_argument(

@@ -95,7 +95,7 @@ def add_lowpass_option(parser: argparse.ArgumentParser) -> None:
         default="auto",
         metavar="HZ",
         help="zero-phase low-pass of both channels where the angle is imposed (50 Hz, or lower "
-        "where the angle above is but noise), or 'none'",
+        "where the angle above is but noise), or 'none'; in a fit for the error E alone",
     )
 
 

@@ -40,11 +40,16 @@ def fit_text(result: RecordingFit) -> str:
 
     least = result.least_squares
     values = ", ".join(f"{n} {least[n]:.4g}" for n in least.names)
+    apart = ", ".join(
+        f"{row.name} {abs(least[row.name] - row.optimum) / row.posterior_sd:.1f}"
+        for row in result.widths.rows
+    )
     lines = [
         widths_text(result.widths),
         "",
         *_noise_lines(result),
         f"least squares (smallest E): {values}; {quality(result.goodness)}",
+        f"the two are apart by so many widths: {apart}",
     ]
     for row in result.widths.rows:
         lines.append(f"{row.name}: {row.verdict}, {row.reason}")
