@@ -49,7 +49,7 @@ def test_the_readme_quotes_the_record(record):
 def test_what_is_not_covered_is_marked(record):
     low = {**record["rows"][0], "covered": 10, "n": 100, "interval": (0.06, 0.17)}
     page = coverage_page({**record, "rows": [low]})
-    assert "10.0 % **off**" in page
+    assert "| 10 % **off** |" in page
     assert "1 lie outside" in page
 
 

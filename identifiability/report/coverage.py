@@ -21,9 +21,9 @@ def coverage_page(record: Mapping[str, Any]) -> str:
         "# Coverage: how often 95 % intervals of K, B and I hold the truth",
         f"Made by `identifiability benchmark coverage --recordings {record['recordings']} "
         f"--seed {record['seed']} --out results`\n({made_by(record)}): "
-        f"{record['recordings']} simulated recordings a row, of joints that are exactly K, B and I,\n"
-        "at 100 to 1,000 Hz, half of them six short trials, half one record of 8 s, fitted as\n"
-        "`identifiability fit` does. Noise is in the response, 1 to 5 % of its scatter; *encoder*\n"
+        f"{record['recordings']} simulated recordings a row, of joints that are exactly K, B\n"
+        "and I, at 100 to 1,000 Hz, half of them six short trials, half one record of 8 s, fitted\n"
+        "as `identifiability fit` does. Noise is in the response, 1 to 5 % of its scatter; *encoder*\n"
         "rounds the angle to 1/400 of its stroke; *both channels* adds white noise to what was\n"
         "imposed too. Intervals are 1.96 stated standard deviations to either side.",
         f"{len(inside)} of {len(rows)} rows lie within {percent(low)} to {percent(high)}; "
