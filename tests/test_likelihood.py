@@ -7,7 +7,7 @@ import pytest
 import scipy.linalg
 from scipy import signal
 
-from identifiability.benchmark import coverage
+from identifiability.benchmark import coverage, noisy_recordings
 from identifiability.inference.curvature import curvature
 from identifiability.inference.fitting import fit
 from identifiability.inference.likelihood import carried, coloured
@@ -156,7 +156,7 @@ def servo(angle_noise, seed, rate=500, duration=0.8, trials=6):
     found = []
     for i in range(trials):
         time = np.arange(0, duration, 1 / rate)
-        torque, angle = coverage._moved(joint, time, random)
+        torque, angle = noisy_recordings._moved(joint, time, random)
         torque = torque + 0.01 * random.standard_normal(time.size)
         angle = angle + angle_noise * random.standard_normal(time.size)
         found.append(Trial(time, torque, angle, driven="angle", name=str(i)))
@@ -227,8 +227,8 @@ def test_intervals_cover(kind, imposed):
 def test_a_recording_comes_from_its_seed():
     for imposed in ("torque", "angle"):
         seed = np.random.SeedSequence([1, 2])
-        first, _ = coverage.recording("encoder", imposed, seed)
-        second, _ = coverage.recording("encoder", imposed, np.random.SeedSequence([1, 2]))
+        first, _ = noisy_recordings.recording("encoder", imposed, seed)
+        second, _ = noisy_recordings.recording("encoder", imposed, np.random.SeedSequence([1, 2]))
         assert all(
             np.array_equal(a.angle, b.angle) and np.array_equal(a.torque, b.torque)
             for a, b in zip(first, second, strict=True)
