@@ -203,7 +203,10 @@ def test_unequal_rates_and_levels_are_fitted_together():
     assert np.all(np.abs(noisy.fit.values - joint) < 4 * sd)
 
 
-@pytest.mark.parametrize(("kind", "imposed"), [("AR 0.99", "torque"), ("both channels", "angle")])
+@pytest.mark.parametrize(
+    ("kind", "imposed"),
+    [("AR 0.99", "torque"), pytest.param("both channels", "angle", marks=pytest.mark.long)],
+)
 def test_errors_are_of_the_stated_size(kind, imposed):
     """Squared errors in stated widths are those of a Gaussian, within Monte Carlo error."""
     found = coverage.errors(coverage.Task(kind, imposed, 77, 0, 4))
