@@ -96,13 +96,13 @@ def errors(task: Task) -> Arrays:
         )
         trials, truth[i] = recording(task.kind, task.imposed, seed)
         try:
-            joint = fit_with_noise(trials)
+            noisy = fit_with_noise(trials)
         except ValueError:
             continue
-        covariance = curvature(joint.problem, joint.fit.values).covariance
+        covariance = curvature(noisy.problem, noisy.fit.values).covariance
         with np.errstate(invalid="ignore"):
             sd[i] = np.sqrt(np.diag(covariance))
-        error[i] = joint.fit.values - truth[i]
+        error[i] = noisy.fit.values - truth[i]
     return {"error": error, "sd": sd, "truth": truth}
 
 

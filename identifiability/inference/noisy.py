@@ -90,6 +90,10 @@ def fit_noisy(
     which = tuple(rates.index(round(interval, 9)) for interval in intervals)
     trial = tuple(which[:i].count(w) for i, w in enumerate(which))
     carry = _carrier(problem)
+    counts = [
+        sum(s.size for row, of_one in enumerate(stretches) if which[row] == i for s in of_one)
+        for i in range(len(rates))
+    ]
     # An ARMA can look like noise of an imposed angle. But only that attenuates the fit, and at an
     # attenuated fit looks do not tell: there the angle is taken to be noisy in any case.
     every = contenders(carried=(True,) if _angle_imposed(problem) else (False, True))
@@ -100,10 +104,6 @@ def fit_noisy(
         asked = orders if rounds <= _CHOICES else [best[:1] for best in orders]
         noises, orders = _noises(problem, stretches, x, which, trial, carry, asked)
         joint = problem.complete(x)[:3]
-        counts = [
-            sum(s.size for row, of_one in enumerate(stretches) if which[row] == i for s in of_one)
-            for i in range(len(rates))
-        ]
         excess = excess_of(noises, counts, rates) if _angle_imposed(problem) else None
         colour = Colour(noises, which, trial, stretches, excess, joint)
         weighed, drowned = _with_colour(problem, colour, x)

@@ -75,8 +75,9 @@ def _noise_lines(result: RecordingFit) -> list[str]:
     here, there = ("angle", "torque") if driven == "torque" else ("torque", "angle")
     units = {"angle": "rad", "torque": "Nm"}
     lines = []
-    intervals = sorted({o.drive.interval for o in result.problem.observations})
-    for noise, interval in zip(result.with_noise.noises, intervals, strict=False):
+    noisy = result.with_noise
+    for i, noise in enumerate(noisy.noises):
+        interval = noisy.problem.observations[noisy.which.index(i)].drive.interval
         colour = "white" if noise.own.ar.size == noise.own.ma.size == 1 else "coloured"
         found = f"noise: {noise.rms:.2g} {units[here]} rms in the {here}, its own part {colour}"
         if noise.carried is not None:
@@ -84,6 +85,6 @@ def _noise_lines(result: RecordingFit) -> list[str]:
                 f"; {noise.carried_sd:.2g} {units[there]} in the {there}, at {1 / interval:.4g} Hz"
             )
         lines.append(found)
-    if result.with_noise.corrected:
+    if noisy.corrected:
         lines.append("what noise of the imposed angle takes off K, B and I is put back")
     return lines

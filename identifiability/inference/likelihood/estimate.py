@@ -217,12 +217,7 @@ def _budget(stretches: Sequence[Stretch]) -> list[Stretch]:
 
 def _levels(stretches: Sequence[Stretch], noise: ProcessSum, n: int) -> np.ndarray | None:
     """Levels by trial, where they differ by more than an AIC allows; their mean square is 1."""
-    squares, counts = np.zeros(n), np.zeros(n)
-    whitening = noise.whitening(max(s.residual.size for s in stretches))
-    for s in stretches:
-        white = _without_level(whitening, s.residual[:, None])[:, 0]
-        squares[s.trial] += white @ white
-        counts[s.trial] += white.size - 1
+    squares, counts = _whitened_squares(stretches, noise, n)
     variances = squares / np.maximum(counts, 1)
     if np.any(variances <= 0):
         return None
@@ -233,18 +228,30 @@ def _levels(stretches: Sequence[Stretch], noise: ProcessSum, n: int) -> np.ndarr
 
 def _variance(stretches: Sequence[Stretch], noise: ProcessSum) -> float:
     """Variance of the whitened residual of all stretches, by its degrees of freedom."""
+    squares, counts = _whitened_squares(stretches, noise, 1 + max(s.trial for s in stretches))
+    freedom = counts.sum() - stretches[0].jacobian.shape[1]
+    return float(squares.sum() / max(1, freedom))
+
+
+def _whitened_squares(
+    stretches: Sequence[Stretch], noise: ProcessSum, n: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Sums of squared whitened residuals by trial, and the samples they are worth."""
+    squares, counts = np.zeros(n), np.zeros(n)
     whitening = noise.whitening(max(s.residual.size for s in stretches))
-    squares = sum(
-        float(np.sum(_without_level(whitening, s.residual[:, None]) ** 2)) for s in stretches
-    )
-    freedom = sum(s.residual.size - 1 for s in stretches) - stretches[0].jacobian.shape[1]
-    return squares / max(1, freedom)
+    for s in stretches:
+        white, _ = _without_level(whitening, s.residual[:, None])
+        squares[s.trial] += np.sum(white**2)
+        counts[s.trial] += len(white) - 1
+    return squares, counts
 
 
-def _without_level(whitening: Whitening, columns: np.ndarray) -> np.ndarray:
+def _without_level(whitening: Whitening, columns: np.ndarray) -> tuple[np.ndarray, float]:
+    """Whitened columns without an unknown level each, and the length of a whitened one."""
     white = whitening(np.column_stack([columns, np.ones(len(columns))]))
-    level = white[:, -1] / np.linalg.norm(white[:, -1])
-    return white[:, :-1] - np.outer(level, level @ white[:, :-1])
+    length = float(np.linalg.norm(white[:, -1]))
+    level = white[:, -1] / length
+    return white[:, :-1] - np.outer(level, level @ white[:, :-1]), length
 
 
 class _Sample:
@@ -270,7 +277,7 @@ class _Sample:
         self._centred = centred
 
     def ranked(self, tried: Sequence[Contender]) -> list[Contender]:
-        """Candidates with the values of their best fit, the best by AICc first."""
+        """Contenders with the values of their best fit, the best by AICc first."""
         found = []
         for i, (order, known) in enumerate(tried):
             spare = self.n_samples - order.size - 2
@@ -327,16 +334,13 @@ class _Sample:
             freedom = 0
             for n, (residuals, jacobians) in self.by_length.items():
                 m = residuals.shape[1]
-                columns = [residuals, np.ones((n, 1))] + ([jacobians] if restricted else [])
-                white = whitening(np.concatenate(columns, axis=1))
-                length = np.linalg.norm(white[:, m])
-                level = white[:, m] / length
-                white -= np.outer(level, level @ white)
+                columns = np.column_stack([residuals, jacobians]) if restricted else residuals
+                white, length = _without_level(whitening, columns)
                 squares += float(np.sum(white[:, :m] ** 2))
                 determinant += m * (whitening.log_determinant(n) + 2 * np.log(length))
                 freedom += m * (n - 1)
                 if restricted:
-                    part = white[:, m + 1 :].reshape(-1, self.k)
+                    part = white[:, m:].reshape(-1, self.k)
                     information += part.T @ part
             if restricted:
                 freedom -= self.k
