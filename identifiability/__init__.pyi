@@ -26,6 +26,8 @@ from .investigation.fits.candidate import Candidate, Residual
 from .investigation.fits.kept import OnDisk
 from .investigation.investigate import investigate
 from .investigation.next_experiment import Design, Limits, NextExperiment
+from .investigation.posterior.discrepancy import Discrepant
+from .investigation.posterior.probabilities import SetProbability
 from .investigation.record import investigation_record
 from .investigation.rules import Rules
 from .investigation.search.found import Found, Missing, Ranking
@@ -36,6 +38,7 @@ from .investigation.split import Split
 from .investigation.unexplained.account import Unexplained
 from .investigation.unexplained.explanation import Family
 from .investigation.unexplained.readouts import DelayReadout, MemoryKernel, MissingTorque, StaticMap
+from .investigation.verdict.by_probability import Claim
 from .investigation.verdict.judge import Verdict
 from .investigation.verdict.reasons import Reason
 from .investigation.where.compare import Change, Comparison, Constancy, Estimate, TrialRow
@@ -197,6 +200,9 @@ __all__ = [  # noqa: RUF022 -- in the order of use
     "MemoryKernel",
     "DelayReadout",
     "Family",
+    "SetProbability",
+    "Discrepant",
+    "Claim",
     "Verdict",
     "Reason",
     "describe",

@@ -146,6 +146,7 @@ ROOMS = (
     ("split",),
     ("fits",),
     ("where", "unexplained", "search"),
+    ("posterior",),
     ("verdict",),
     ("next_experiment",),
     ("findings",),

@@ -162,7 +162,7 @@ def draw_joint(
     return Joint(anatomy, tuple(effects))
 
 
-class _Muscle:
+class Muscle:
     """Muscle, behind a tendon where there is one; its state is the angle at the tendon's end."""
 
     def __init__(
@@ -172,11 +172,13 @@ class _Muscle:
         self._tendon, self._hill = tendon, hill
 
     def n_states(self) -> int:
+        """Number of states."""
         return int(self._tendon is not None)
 
     def react(
         self, time: float, angle: float, velocity: float, states: Sequence[float], past: Past
     ) -> Reaction:
+        """Resist a motion of the joint: see `TorqueEffect.react`."""
         if self._tendon is None:
             torque = self._stiffness * angle + self._damping * velocity
             if self._hill is not None:
@@ -203,7 +205,8 @@ class _Muscle:
         return speed
 
 
-def _find(kind: type[E], effects: Sequence[HiddenEffect]) -> E | None:
+def find(kind: type[E], effects: Sequence[HiddenEffect]) -> E | None:
+    """Return the effect of a kind, if there is one."""
     return next((effect for effect in effects if isinstance(effect, kind)), None)
 
 
@@ -215,19 +218,19 @@ class _Run:
 
     def __init__(self, joint: Joint, torque: np.ndarray, interval: float, rtol: float) -> None:
         effects = joint.effects
-        backlash = _find(Backlash, effects)
+        backlash = find(Backlash, effects)
         anatomy = joint.anatomy if backlash is None else backlash.handle()
-        tendon = _find(Tendon, effects)  # type: ignore[type-abstract]
-        muscle = _Muscle(anatomy, tendon, _find(HillForceVelocity, effects))
+        tendon = find(Tendon, effects)  # type: ignore[type-abstract]
+        muscle = Muscle(anatomy, tendon, find(HillForceVelocity, effects))
         self._inertia = anatomy.inertia
         self._stiffness, self._damping = anatomy.passive_stiffness, anatomy.passive_damping
-        self._friction = _find(CoulombFriction, effects)
+        self._friction = find(CoulombFriction, effects)
         self._sliding = 0  # direction in which the joint slides, 0 where friction holds it
 
         torque_effects = [e for e in effects if isinstance(e, TorqueEffect)]
-        self._parts: list[tuple[_Muscle | TorqueEffect, int, int]] = []
+        self._parts: list[tuple[Muscle | TorqueEffect, int, int]] = []
         self._seen, n_states = 0, 2
-        parts: list[_Muscle | TorqueEffect] = [muscle, *torque_effects]
+        parts: list[Muscle | TorqueEffect] = [muscle, *torque_effects]
         for part in parts:
             if isinstance(part, SensorLowpass):
                 self._seen = n_states
@@ -236,7 +239,7 @@ class _Run:
         self._state = np.zeros(n_states)
 
         self._torque, self._interval, self._rtol = torque, interval, rtol
-        sensor_delay = _find(SensorDelay, effects)
+        sensor_delay = find(SensorDelay, effects)
         late = 0.0 if sensor_delay is None else sensor_delay.delay
         self._wanted = np.arange(torque.size) * interval - late
         self._recorded = np.zeros(torque.size)

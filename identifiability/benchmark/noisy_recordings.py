@@ -29,7 +29,7 @@ KINDS = (
 """Kinds of noise. That of the response, but for the last two."""
 
 _RATES = (100, 200, 500, 1000)
-_MAINS_HZ = 50.0
+MAINS_HZ = 50.0
 _ORDER = 6  # of the smooth steps of an imposed angle: continuous up to the fourth derivative
 
 
@@ -60,7 +60,7 @@ def recording(
     level = random.uniform(0.01, 0.05)
     trials = []
     for i, (time, torque, angle) in enumerate(clean):
-        noise = level * size * _noise(kind, time.size, rate, random)
+        noise = level * size * noise_of(kind, time.size, rate, random)
         if kind == "encoder":
             step = stroke / 400
             angle = step * np.round(angle / step)
@@ -126,7 +126,7 @@ def _moved(
     return np.column_stack([angle, velocity, acceleration]) @ joint, angle
 
 
-def _noise(kind: str, n: int, rate: int, random: np.random.Generator) -> np.ndarray:
+def noise_of(kind: str, n: int, rate: int, random: np.random.Generator) -> np.ndarray:
     """Noise of one trial, of about unit size."""
     white = random.standard_normal(n)
     if kind.startswith("AR"):
@@ -137,7 +137,7 @@ def _noise(kind: str, n: int, rate: int, random: np.random.Generator) -> np.ndar
     if kind == "random walk":
         return np.asarray(np.cumsum(white) * 2 / np.sqrt(n))
     if kind == "hum":
-        phase = 2 * np.pi * (_MAINS_HZ * np.arange(n) / rate + random.random())
+        phase = 2 * np.pi * (MAINS_HZ * np.arange(n) / rate + random.random())
         return np.asarray(np.sqrt(2) * np.sin(phase) + 0.2 * white)
     if kind == "differenced":
         return np.asarray(np.diff(np.append(random.standard_normal(), white)) / np.sqrt(2))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import scipy.optimize
@@ -11,7 +12,34 @@ import scipy.optimize
 from identifiability.errors import InputError
 from identifiability.inference.bounds import onto, size_of, strictly_inside, touching
 from identifiability.inference.problem import Problem
+from identifiability.joint.model import Model
 from identifiability.joint.programs import THREADS
+
+
+class LeastSquares(Protocol):
+    """What `explore` asks of a problem: see `Problem`."""
+
+    @property
+    def model(self) -> Model:
+        """The model."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the free parameters."""
+
+    @property
+    def lower(self) -> np.ndarray:
+        """Lower bounds of the free parameters."""
+
+    @property
+    def upper(self) -> np.ndarray:
+        """Upper bounds of the free parameters."""
+
+    def residuals(self, x: np.ndarray) -> np.ndarray:
+        """Whitened residuals."""
+
+    def jacobian(self, x: np.ndarray) -> np.ndarray:
+        """Derivatives of the whitened residuals."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +151,9 @@ def fit(problem: Problem, starts: np.ndarray, *, polish: bool = True) -> Fit:
     return _finish(problem, values, cost, costs, reached, "least squares")
 
 
-def explore(problem: Problem, starts: np.ndarray, *, evaluations: int, further: int = 0) -> Fit:
+def explore(
+    problem: LeastSquares, starts: np.ndarray, *, evaluations: int, further: int = 0
+) -> Fit:
     """Fit by bounded least squares with a limited number of evaluations from every start.
 
     A stiffness whose effect vanishes as it grows without bound is sought by its inverse, in which
@@ -131,7 +161,8 @@ def explore(problem: Problem, starts: np.ndarray, *, evaluations: int, further: 
 
     Parameters
     ----------
-    problem : Problem
+    problem : LeastSquares
+        Such as a `Problem`.
     starts : array, shape (n_starts, n_free)
     evaluations : int
         Most evaluations from one start.
@@ -230,19 +261,19 @@ def fit_simplex(
     return _finish(problem, best.x, float(best.fun), costs, reached, "Nelder-Mead")
 
 
-def at_bounds(problem: Problem, values: np.ndarray) -> tuple[str, ...]:
+def at_bounds(problem: LeastSquares, values: np.ndarray) -> tuple[str, ...]:
     """Names of the free parameters that lie on a bound, to within 1e-6 of their size."""
     at_lower, at_upper = touching(values, problem.lower, problem.upper)
     on = at_lower | at_upper
     return tuple(name for name, is_on in zip(problem.names, on, strict=True) if is_on)
 
 
-def inside(problem: Problem, points: np.ndarray) -> np.ndarray:
+def inside(problem: LeastSquares, points: np.ndarray) -> np.ndarray:
     """Points moved strictly inside the problem's bounds."""
     return strictly_inside(points, problem.lower, problem.upper)
 
 
-def _onto_bounds(problem: Problem, x: np.ndarray) -> np.ndarray:
+def _onto_bounds(problem: LeastSquares, x: np.ndarray) -> np.ndarray:
     """The same point, on the bounds that it is pushed to and all but touches.
 
     All but touches: within a thousandth of its slice width, where the cost hardly differs.
@@ -287,7 +318,7 @@ def _newton(
 
 
 def _finish(
-    problem: Problem,
+    problem: LeastSquares,
     values: np.ndarray,
     cost: float,
     costs: np.ndarray,

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from identifiability.inference.widths import Widths
 from identifiability.investigation.next_experiment import NextExperiment
+from identifiability.investigation.posterior.probabilities import Probabilities
 from identifiability.investigation.search.found import Found
 from identifiability.investigation.split import Split
 from identifiability.investigation.unexplained.account import Unexplained
@@ -42,6 +43,10 @@ class Findings:
     remarks : tuple of str
         What the trials did not allow.
     seed : int
+    posterior : Probabilities or None
+        Probabilities of the sets of effects that were weighed.
+    timings : mapping of str to float
+        Seconds that each part took; those that ran side by side overlap.
     """
 
     split: Split
@@ -57,6 +62,8 @@ class Findings:
     failures: Mapping[str, str]
     remarks: tuple[str, ...]
     seed: int
+    posterior: Probabilities | None = None
+    timings: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def warnings(self) -> tuple[str, ...]:

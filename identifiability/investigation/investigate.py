@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from typing import TypeVar
 
 import numpy as np
@@ -75,6 +77,13 @@ def investigate(
         progress=progress,
     )
     failures: dict[str, str] = {}
+    timings: dict[str, float] = {}
+
+    @contextmanager
+    def timed(part: str) -> Iterator[None]:
+        began = time.perf_counter()
+        yield
+        timings[part] = time.perf_counter() - began
 
     def attempt(what: str, work: Callable[[], T]) -> T | None:
         # One part that fails must not take the others with it; the findings say that it failed.
@@ -88,35 +97,44 @@ def investigate(
     # algebra of small matrices: then the order of its sums does not depend on what runs beside.
     with threadpool_limits(1), ThreadPoolExecutor(1) as aside:
         progress("fitting the baseline", 0, 1)
-        first = study.baseline
+        with timed("baseline"):
+            first = study.baseline
         progress("comparing", 0, 1)
-        comparison = attempt("comparison", lambda: study.compare(first))
-        location = attempt("location", lambda: study.locate(first))
+        with timed("comparison"):
+            comparison = attempt("comparison", lambda: study.compare(first))
+            location = attempt("location", lambda: study.locate(first))
         unexplained_before = aside.submit(
             attempt, "unexplained torque", lambda: study.unexplained(first, seed=seed)
         )
-        found = study.search(most=most)
+        with timed("probabilities"):
+            posterior = attempt("probabilities", lambda: study.weigh(most=most, seed=seed))
+        with timed("search"):
+            found = study.search(most=most, posterior=posterior)
         final = found.final
         widths = None
         if with_widths:
             progress("widths of the parameters", 0, 1)
             widths = aside.submit(attempt, "widths", lambda: study.widths(final, seed=seed))
         progress("what is left", 0, 1)
-        before = unexplained_before.result()
-        after = before if final is first else None
-        if after is None:
-            after = study.unexplained(final, seed=seed)
+        with timed("what is left"):
+            before = unexplained_before.result()
+            after = before if final is first else None
+            if after is None:
+                after = study.unexplained(final, seed=seed)
         seen = None
         if not found.missing:
             progress("the smallest effects that would have been seen", 0, 1)
-            seen = attempt("smallest effects seen", lambda: study.smallest_seen(final))
-        verdict = study.judge(found, after, seen or ())
+            with timed("smallest effects seen"):
+                seen = attempt("smallest effects seen", lambda: study.smallest_seen(final))
+        verdict = study.judge(found, after, seen or (), posterior)
         progress("the next experiment", 0, 1)
-        following = attempt(
-            "next experiment",
-            lambda: study.next_experiment(found, verdict, limits=limits, seed=seed),
-        )
-        found_widths = None if widths is None else widths.result()
+        with timed("next experiment"):
+            following = attempt(
+                "next experiment",
+                lambda: study.next_experiment(found, verdict, limits=limits, seed=seed),
+            )
+        with timed("rest of the widths"):
+            found_widths = None if widths is None else widths.result()
     return Findings(
         study.split,
         found,
@@ -131,4 +149,6 @@ def investigate(
         failures,
         study.remarks,
         seed,
+        posterior,
+        timings,
     )

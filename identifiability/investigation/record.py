@@ -13,6 +13,7 @@ from identifiability.files import plain
 from identifiability.investigation.findings import Findings
 from identifiability.investigation.fits.candidate import Candidate
 from identifiability.investigation.next_experiment import NextExperiment
+from identifiability.investigation.posterior.probabilities import Probabilities
 from identifiability.investigation.search.gate import Ranked
 from identifiability.investigation.unexplained.account import Unexplained
 from identifiability.investigation.verdict.pinned import not_pinned_down
@@ -23,7 +24,7 @@ from identifiability.investigation.wording.unexplained import unexplained_senten
 from identifiability.measurement.prepared import Prepared
 from identifiability.provenance import stamp
 
-SCHEMA = 1
+SCHEMA = 2
 
 
 def investigation_record(findings: Findings, *, command: str = "") -> dict[str, Any]:
@@ -38,8 +39,9 @@ def investigation_record(findings: Findings, *, command: str = "") -> dict[str, 
     Returns
     -------
     dict
-        ``schema``, ``baseline``, ``steps``, ``verdict`` and ``next_experiment``, then everything
-        else that the report shows. E is Eq. 3's error pooled over trials.
+        ``schema``, ``baseline``, ``steps``, ``verdict``, ``posterior``, ``discrepancy`` and
+        ``next_experiment``, then everything else that the report shows. E is Eq. 3's error pooled
+        over trials. In the posterior ``effects`` of none is none of the known ones.
     """
     found, verdict, split = findings.found, findings.verdict, findings.split
     written: dict[str, Any] = plain(
@@ -77,6 +79,8 @@ def investigation_record(findings: Findings, *, command: str = "") -> dict[str, 
                 "share_explained": verdict.share,
                 "smallest_seen": [asdict(seen) for seen in verdict.smallest_seen],
             },
+            "posterior": _probabilities(findings.posterior),
+            "discrepancy": _discrepancy(findings.posterior),
             "next_experiment": _next_experiment(findings.next_experiment),
             "rankings": [
                 {
@@ -109,6 +113,7 @@ def investigation_record(findings: Findings, *, command: str = "") -> dict[str, 
             "held_out": split.how_held_out,
             "driven": split.driven,
             "rules": asdict(split.rules),
+            "timings": dict(findings.timings),
             "failures": dict(findings.failures),
             "warnings": list(findings.warnings),
             **stamp(__name__, "identifiability.investigation.investigate"),
@@ -139,6 +144,34 @@ def _next_experiment(following: NextExperiment | None) -> dict[str, Any] | None:
         **following.to_dict(),
         "resolved": following.resolved,
         "sentence": next_experiment_sentence(following),
+    }
+
+
+def _probabilities(posterior: Probabilities | None) -> list[dict[str, Any]] | None:
+    if posterior is None:
+        return None
+    return [
+        {
+            "effects": None if row.effects is None else list(row.effects),
+            "probability": row.probability,
+            "log_evidence": row.log_evidence,
+        }
+        for row in posterior.rows
+    ]
+
+
+def _discrepancy(posterior: Probabilities | None) -> dict[str, Any] | None:
+    """What the most probable model leaves, as shares of the response's root mean square."""
+    if posterior is None or posterior.discrepancy is None:
+        return None
+    found = posterior.discrepancy
+    return {
+        "beside": list(posterior.best),
+        "kind": found.kind,
+        "size": found.size * posterior.response,
+        "share": found.size,
+        "shares": dict(found.sizes),
+        "noise": posterior.noise,
     }
 
 

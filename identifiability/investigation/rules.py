@@ -20,6 +20,8 @@ class Rules:
     decisive : float
         Difference of the information criterion that counts as decisive (Kass & Raftery 1995, J Am
         Stat Assoc 90: 773-795: more than 10 is very strong evidence).
+    claimed : float
+        Probability from which effects are named: a level that experimenters know.
     decisive_kind : float
         Difference of log evidence [nats] that decides between kinds of torque that no effect
         names: odds of 150 to 1 where both were as likely before.
@@ -92,6 +94,7 @@ class Rules:
     """
 
     decisive: float = 10.0
+    claimed: float = 0.95
     decisive_kind: float = 5.0
     discrepancy: float = 1e-3
     removed_share: float = 1 / 3

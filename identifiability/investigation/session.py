@@ -21,12 +21,20 @@ from identifiability.investigation.next_experiment import (
     next_experiment,
     open_pair,
 )
+from identifiability.investigation.posterior.band import band_of
+from identifiability.investigation.posterior.evidence import evaluator_of
+from identifiability.investigation.posterior.probabilities import Probabilities
+from identifiability.investigation.posterior.search import weigh
 from identifiability.investigation.rules import Rules
+from identifiability.investigation.search.fitter import Fitter
 from identifiability.investigation.search.found import Found, Ranking
-from identifiability.investigation.search.search import rank, search
+from identifiability.investigation.search.gate import Gate
+from identifiability.investigation.search.ranking import Ranker
+from identifiability.investigation.search.search import found_of, rank, search
 from identifiability.investigation.search.smallest_seen import Detectable, detectable
 from identifiability.investigation.split import Split, gather
 from identifiability.investigation.unexplained.account import Unexplained, unexplained
+from identifiability.investigation.verdict.by_probability import Claim, by_probability, claim_of
 from identifiability.investigation.verdict.judge import Verdict, judge
 from identifiability.investigation.where.compare import Comparison, compare
 from identifiability.investigation.where.locate import Location, locate
@@ -104,6 +112,7 @@ class Investigation:
         self.progress = progress
         split = gather(trials, held_out, lowpass_hz=lowpass_hz, rules=rules)
         self.bench = Workbench(split, dict(bounds or {}), InMemory() if kept is None else kept)
+        self._recorded = tuple(trials), tuple(held_out), lowpass_hz
         self.remarks: tuple[str, ...] = ()
         if leads_are_motion(self.bench):
             self.bench, self.remarks = without_leads(self.bench), (_MOVING,)
@@ -145,15 +154,65 @@ class Investigation:
         """Add every effect of the library to a model, refit, and rank."""
         return rank(self.bench, candidate, self.baseline, self.library, progress=self.progress)
 
-    def search(self, *, most: int | None = None) -> Found:
-        """Add, drop and swap effects for as long as the evidence is decisive.
+    def search(self, *, most: int | None = None, posterior: Probabilities | None = None) -> Found:
+        """Find the effects that are missing, and what could stand in their place.
 
         Parameters
         ----------
         most : int, optional
             Most effects to add; the rules' number by default.
+        posterior : Probabilities, optional
+            What `weigh` gave: what is probable enough is then taken as it is. Without it, or where
+            something unknown is, effects are added, dropped and swapped for as long as the evidence
+            is decisive.
         """
+        if posterior is not None:
+            claim = self.claim(posterior)
+            final = posterior.candidates.get(tuple(sorted(claim.effects)))
+            if claim.kind in ("effects", "nothing") and final is not None:
+                return found_of(
+                    self.bench,
+                    self.baseline,
+                    self.library,
+                    final,
+                    claim.sets,
+                    progress=self.progress,
+                )
         return search(self.bench, self.baseline, self.library, most=most, progress=self.progress)
+
+    def weigh(self, *, most: int | None = None, seed: int = 1) -> Probabilities:
+        """Probabilities of the sets of effects that may be missing, "none of these" among them.
+
+        Parameters
+        ----------
+        most : int, optional
+            Most effects to add; the rules' number by default.
+        seed : int
+            Of the probes by which noise of an imposed angle is taken off.
+
+        Raises
+        ------
+        InputError
+            Where the trials are not sampled alike.
+        """
+        trials, held_out, lowpass_hz = self._recorded
+        band = band_of(
+            trials,
+            held_out,
+            lowpass_hz=lowpass_hz,
+            bounds=self.bench.bounds,
+            room=self.split.room,
+        )
+        ranker = Ranker(
+            self.bench,
+            self.library,
+            Fitter(self.bench, self.baseline),
+            Gate(self.bench, self.baseline),
+            self.progress,
+        )
+        evaluator = evaluator_of(band, self.baseline.values, seed=seed)
+        number = self.bench.rules.most_effects if most is None else most
+        return weigh(ranker, evaluator, self.baseline, number)
 
     def widths(self, candidate: Candidate, *, seed: int = 1) -> Widths:
         """Every width of a fitted model's parameters, as of K, B and I."""
@@ -163,11 +222,24 @@ class Investigation:
         """Smallest effects that would have been seen beside a fitted model."""
         return detectable(self.bench, candidate, self.library)
 
+    def claim(self, posterior: Probabilities) -> Claim:
+        """What the probabilities allow to name."""
+        return claim_of(posterior, self.library, self.bench.rules.claimed)
+
     def judge(
-        self, found: Found, rest: Unexplained, smallest_seen: Sequence[Detectable] = ()
+        self,
+        found: Found,
+        rest: Unexplained,
+        smallest_seen: Sequence[Detectable] = (),
+        posterior: Probabilities | None = None,
     ) -> Verdict:
-        """What a search and an account of what it left allow to say."""
-        return judge(self.split, found, rest, smallest_seen, self.library)
+        """What a search, an account of what it left and the probabilities allow to say."""
+        verdict = judge(self.split, found, rest, smallest_seen, self.library)
+        if posterior is None:
+            return verdict
+        return by_probability(
+            verdict, self.claim(posterior), posterior, smallest_seen, self.library
+        )
 
     def next_experiment(
         self,

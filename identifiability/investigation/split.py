@@ -96,7 +96,7 @@ class Split:
         """Observations of a part, long records cut into pieces that can be computed together."""
         out: list[Observation] = []
         for prepared, sd in zip(part, self.weights_sd(part), strict=True):
-            out += _pieces(prepared, Noise(float(sd)))
+            out += pieces(prepared, Noise(float(sd)))
         return out
 
     @cached_property
@@ -152,7 +152,7 @@ def gather(
     )
 
 
-def _pieces(prepared: Prepared, noise: Noise) -> list[Observation]:
+def pieces(prepared: Prepared, noise: Noise) -> list[Observation]:
     """A trial as one observation, or as overlapping ones that are computed side by side."""
     span = prepared.last - prepared.first
     n_offsets = prepared.has_offset

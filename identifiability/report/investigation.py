@@ -37,9 +37,12 @@ from identifiability.plots.investigation_where import (
 from identifiability.plots.style import png, save
 from identifiability.report.page import Page
 
+_ROWS = 6  # sets listed in the terminal, at most
+_SHOWN = 0.005  # probability from which a set is listed
 _ENDED = {
     "nothing admitted": "no further effect was admitted",
     "most effects": "no more effects were to be added",
+    "by probability": "what is probable enough was added",
 }
 
 
@@ -83,6 +86,12 @@ def investigation_text(findings: Findings) -> str:
     lines += ["", *words.because(findings)]
     if findings.next_experiment is not None:
         lines += ["", f"Next experiment. {next_experiment_sentence(findings.next_experiment)}"]
+    if findings.posterior is not None:
+        lines += ["", "probability of what may be missing:"]
+        for one in findings.posterior.rows[:_ROWS]:
+            if one.probability >= _SHOWN:
+                name = words.set_in_words(one.effects)
+                lines.append(f"  {name:<40}{words.percent(one.probability):>18}")
     if findings.widths is not None:
         lines.append("")
         for row in findings.widths.rows:
@@ -180,10 +189,35 @@ def _where(page: Page, figures: _Figures, findings: Findings) -> None:
         )
 
 
+def _probabilities(page: Page, findings: Findings) -> None:
+    posterior = findings.posterior
+    if posterior is None:
+        _failed(page, findings, "probabilities")
+        return
+    page.paragraph(
+        f"Probability of every set of effects that was fitted ({len(posterior.candidates)} of "
+        "them), by one likelihood of the recordings, with the noise of both channels and its colour"
+        " estimated for each. Something unknown is a torque of any form. Every number of effects is"
+        " taken to be as probable before the data, and then every set of so many."
+    )
+    shown = [r for r in posterior.rows if r.probability >= _SHOWN] or posterior.rows[:1]
+    page.table(
+        ("missing", "probability"),
+        [(words.set_in_words(row.effects), words.percent(row.probability)) for row in shown],
+    )
+    rest = posterior.discrepancy
+    if rest is not None and rest.kind != "none":
+        page.paragraph(
+            f"Beside the most probable of them there is a torque that nothing names, mostly of "
+            f"kind {rest.kind}; it makes {words.percent(rest.size)} of the response."
+        )
+
+
 def _which(page: Page, figures: _Figures, findings: Findings) -> None:
     found = findings.found
     members = {m.key: m.could_be for m in found.missing}
     page.heading("Which effect is missing")
+    _probabilities(page, findings)
     for number, ranking in enumerate(found.rankings, 1):
         figures.show(
             f"ranking_{number}",

@@ -240,13 +240,13 @@ def _whitened_squares(
     squares, counts = np.zeros(n), np.zeros(n)
     whitening = noise.whitening(max(s.residual.size for s in stretches))
     for s in stretches:
-        white, _ = _without_level(whitening, s.residual[:, None])
+        white, _ = without_level(whitening, s.residual[:, None])
         squares[s.trial] += np.sum(white**2)
         counts[s.trial] += len(white) - 1
     return squares, counts
 
 
-def _without_level(whitening: Whitening, columns: np.ndarray) -> tuple[np.ndarray, float]:
+def without_level(whitening: Whitening, columns: np.ndarray) -> tuple[np.ndarray, float]:
     """Whitened columns without an unknown level each, and the length of a whitened one."""
     white = whitening(np.column_stack([columns, np.ones(len(columns))]))
     length = float(np.linalg.norm(white[:, -1]))
@@ -335,7 +335,7 @@ class _Sample:
             for n, (residuals, jacobians) in self.by_length.items():
                 m = residuals.shape[1]
                 columns = np.column_stack([residuals, jacobians]) if restricted else residuals
-                white, length = _without_level(whitening, columns)
+                white, length = without_level(whitening, columns)
                 squares += float(np.sum(white[:, :m] ** 2))
                 determinant += m * (whitening.log_determinant(n) + 2 * np.log(length))
                 freedom += m * (n - 1)

@@ -102,8 +102,8 @@ class Found:
         Whether the final model leaves no more than noise.
     n_fits : int
         Number of models that were fitted.
-    ended : {"nothing admitted", "at the floor", "most effects"}
-        Why the search ended.
+    ended : {"nothing admitted", "at the floor", "most effects", "by probability"}
+        Why the search ended; "by probability" where its end was given.
     """
 
     baseline: Candidate

@@ -53,7 +53,7 @@ class Ranker:
     def rank(self, current: Candidate) -> Ranking:
         """Add every effect of the library to a model, refit, and rank."""
         keys = [key for key in self.library if key not in current.keys]
-        kept = self._screen(keys, current)
+        kept = self.screen(keys, current)
         jobs = [(current.model + self.library[key](), key) for key in kept]
         fitted = self.fit_all(f"adding to {_named(current)}", jobs, current)
         ranked = self._refine(self.judge_all(fitted, current), current)
@@ -69,7 +69,7 @@ class Ranker:
             admitted = sorted(enough, key=lambda r: len(r.candidate.free)) or admitted
         return admitted[0].key if admitted else ""
 
-    def _screen(self, keys: Sequence[str], current: Candidate) -> list[str]:
+    def screen(self, keys: Sequence[str], current: Candidate) -> list[str]:
         """Effects worth a refit: all at the first step, later those whose signature is there.
 
         The signature is the change of KBI's response by a small effect, at the shapes that a fit

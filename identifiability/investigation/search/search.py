@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 from identifiability.investigation.fits.bench import Workbench
@@ -51,6 +51,30 @@ def search(
     """
     most = bench.rules.most_effects if most is None else most
     return _Search(_ranker(bench, baseline, library, progress), baseline).run(most)
+
+
+def found_of(
+    bench: Workbench,
+    baseline: Candidate,
+    library: Mapping[str, type[Effect]],
+    final: Candidate,
+    sets: Sequence[Sequence[str]],
+    *,
+    progress: Progress = silent,
+) -> Found:
+    """All that is to be known of missing effects that were found otherwise.
+
+    Parameters
+    ----------
+    bench, baseline, library, progress
+        See `search`.
+    final : Candidate
+        The model with the effects that are missing; the baseline where none is.
+    sets : sequence of sequence of str
+        For each of them all that it could be, its own key included.
+    """
+    run = _Search(_ranker(bench, baseline, library, progress), baseline)
+    return run.of(bench.finish(final), sets)
 
 
 def rank(
@@ -116,8 +140,22 @@ class _Search:
             if gate.at_floor(current):
                 ended = "at the floor"
                 break
-        final = self._simplify(self._prune(current))
-        exact = gate.leaves_noise(final)
+        return self._found(self._simplify(self._prune(current)), rankings, ended)
+
+    def of(self, final: Candidate, sets: Sequence[Sequence[str]]) -> Found:
+        """What there is to know of a final model that is given."""
+        ranking = self.ranker.rank(self.baseline)
+        ladder = self._ladder(final)
+        chosen = ladder[0][0] if ladder else ""
+        found = self._found(final, [replace(ranking, chosen=chosen)], "by probability")
+        missing = []
+        for one in found.missing:
+            could_be = next(tuple(names) for names in sets if one.key in names)
+            missing.append(replace(one, could_be=could_be, near=()))
+        return replace(found, missing=tuple(missing))
+
+    def _found(self, final: Candidate, rankings: Sequence[Ranking], ended: str) -> Found:
+        exact = self.ranker.gate.leaves_noise(final)
         return Found(
             self.baseline,
             tuple(rankings),

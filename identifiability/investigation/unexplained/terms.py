@@ -8,12 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from scipy.signal import fftconvolve
 
 from identifiability.investigation.unexplained.linear_gaussian import side_by_side, square_root
-from identifiability.investigation.unexplained.traces import Response, Trace
+from identifiability.investigation.unexplained.traces import Response
 
 _MOST_NODES = 500  # of a torque in time, over all trials
 _TORQUE_NODES, _DRIFT_NODES, _STIFFNESS_NODES = 0.01, 0.03, 0.05  # s between nodes
@@ -25,6 +26,34 @@ _STATE_NODES = 13
 _THRESHOLDS = 14
 
 Roots = Callable[[np.ndarray], list[np.ndarray]]
+
+
+class Moving(Protocol):
+    """A trial as terms see it: see `Trace`."""
+
+    @property
+    def interval(self) -> float:
+        """Time [s] between samples."""
+
+    @property
+    def time(self) -> np.ndarray:
+        """Time [s] since the first sample."""
+
+    @property
+    def angle(self) -> np.ndarray:
+        """Angle [rad]."""
+
+    @property
+    def velocity(self) -> np.ndarray:
+        """Velocity [rad/s]."""
+
+    @property
+    def residual(self) -> np.ndarray:
+        """What there is to be explained [rad or Nm]."""
+
+    @property
+    def response_rate(self) -> np.ndarray:
+        """Rate of the response."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +165,7 @@ def _log_range(*ranges: tuple[float, float]) -> np.ndarray:
 class Terms:
     """Makes the terms for a set of traces."""
 
-    traces: Sequence[Trace]
+    traces: Sequence[Moving]
     response: Response
     values: dict[str, float]
 
@@ -157,7 +186,7 @@ class Terms:
     def _spacing(self, wanted: float) -> float:
         return max(wanted, sum(t.time[-1] for t in self.traces) / _MOST_NODES)
 
-    def _nodes(self, trace: Trace, spacing: float) -> np.ndarray:
+    def _nodes(self, trace: Moving, spacing: float) -> np.ndarray:
         return np.arange(0.0, trace.time[-1] + spacing, spacing)
 
     def _felt(self, torques: Sequence[np.ndarray]) -> tuple[np.ndarray, ...]:

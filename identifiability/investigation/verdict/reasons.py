@@ -23,6 +23,8 @@ ReasonKind = Literal[
     "form of no sensor",
     "only a part",
     "description",
+    "probable",
+    "not probable enough",
 ]
 
 
@@ -53,6 +55,10 @@ class Reason:
         - clue: with the effect too, at its own values, E would fall to ``error`` (``held_out``),
           but it was refused for ``remark``;
         - edge of bounds: a parameter, ``remark``, lies at its bound at ``value``;
+        - probable: the effects are there with this ``probability``; that ``nothing`` is missing, or
+          something ``unknown``, has these;
+        - not probable enough: the same of what is claimed, ``remark``, and of the most probable
+          sets by their keys joined by "+": no effect is probable enough to be named;
         - equations not exact: the named effects leave more than noise;
         - form of no sensor: the effects of the measurement do not fit it;
         - only a part: effects that remove only a part may stand for something else;

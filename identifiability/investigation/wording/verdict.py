@@ -49,10 +49,15 @@ def verdict_sentence(findings: Findings) -> str:
     """The verdict in one or two sentences."""
     verdict, found, library = findings.verdict, findings.found, findings.library
     rest = unexplained_sentence(findings.unexplained_after)
+    unsure = next((r for r in verdict.reasons if r.kind == "not probable enough"), None)
+    if verdict.kind == "nothing_missing" and unsure is not None:
+        return _nothing(unsure)
     if found.description is not None:
         return _described(findings)
     if verdict.kind == "nothing_missing":
         return "Nothing is missing that these data could show: the model leaves only noise."
+    if unsure is not None:
+        return f"Something is missing, and no effect known here is sure to be it. {rest}"
     if not found.missing and verdict.kind == "measurement":
         return f"It is the measurement, not the joint. {rest}"
     if not found.missing:
@@ -76,6 +81,56 @@ def verdict_sentence(findings: Findings) -> str:
             " then remains is the instruments."
         )
     return words
+
+
+def _nothing(unsure: Reason) -> str:
+    """Verdict where nothing is missing, or that cannot be excluded."""
+    nothing = unsure.numbers["nothing"]
+    if nothing >= 0.5 or not unsure.effects:
+        return "Nothing is missing that these data could show: the model leaves only noise."
+    likely = likely_set(unsure.effects[0])
+    return (
+        f"These data do not decide whether anything is missing: most likely {likely} is, but that "
+        f"nothing is missing cannot be excluded ({percent(nothing)})."
+    )
+
+
+def likely_set(keys: str) -> str:
+    """A set of effects, its keys joined by "+", in words."""
+    return " with ".join(plain(key) for key in keys.split("+"))
+
+
+def set_in_words(effects: Sequence[str] | None) -> str:
+    """What a row of a posterior says is missing."""
+    if effects is None:
+        return "something unknown"
+    return likely_set("+".join(effects)) if effects else "nothing"
+
+
+def percent(probability: float) -> str:
+    """A probability in words that do not pretend to certainty."""
+    if probability > 0.999:
+        return "more than 99.9 %"
+    if probability < 0.001:
+        return "less than 0.1 %"
+    digits = 1 if probability > 0.99 or probability < 0.01 else 0
+    return f"{100 * probability:.{digits}f} %"
+
+
+def _probable(reason: Reason) -> str:
+    e = reason.numbers
+    return (
+        f"The probability of this is {percent(e['probability'])}; that nothing is missing, "
+        f"{percent(e['nothing'])}; that it is something unknown, {percent(e['unknown'])}."
+    )
+
+
+def _not_probable(reason: Reason) -> str:
+    e = reason.numbers
+    parts = [f"nothing is missing, {percent(e['nothing'])}"]
+    parts += [f"{likely_set(keys)}, {percent(e[keys])}" for keys in reason.effects]
+    parts += [f"something unknown, {percent(e['unknown'])}"]
+    return f"Probabilities: {'; '.join(parts)}."
 
 
 def because(findings: Findings) -> list[str]:
@@ -117,6 +172,10 @@ def _reason(reason: Reason, findings: Findings) -> str:
         )
     if reason.kind == "errors":
         return _errors(reason, findings)
+    if reason.kind == "probable":
+        return _probable(reason)
+    if reason.kind == "not probable enough":
+        return _not_probable(reason)
     if reason.kind == "removes in turn":
         return _in_turn(reason, findings)
     if reason.kind == "clue":

@@ -1,0 +1,1 @@
+"""How probable every set of effects is, by one likelihood of the whole band of the recordings."""

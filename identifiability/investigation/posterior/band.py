@@ -1,0 +1,199 @@
+"""Trials as the likelihood compares them: all that was recorded, but for what noise drowns.
+
+Where the angle was imposed the torque is predicted from its derivatives. Above the frequency where
+the angle is noise more than motion there is nothing to learn, and everything to misread: there both
+channels are cut off, by one filter, and so few samples are compared that none lies beyond it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from scipy import signal
+from scipy.ndimage import convolve1d
+
+from identifiability.errors import InputError
+from identifiability.inference.problem import Observation, Prior, Problem
+from identifiability.inference.starts import plain_values
+from identifiability.investigation.split import owners, pieces
+from identifiability.joint.model import Model
+from identifiability.joint.scheme import Scheme
+from identifiability.measurement.filtering import Lowpass, cutoff
+from identifiability.measurement.noise import Noise
+from identifiability.measurement.perturbations import imposed_motion
+from identifiability.measurement.prepared import Prepared, prepare_whole_band
+from identifiability.measurement.splitting import hold_out
+from identifiability.measurement.trials import Trial
+
+_HALF_BAND = signal.firwin(23, 0.5)
+_ENOUGH = 3.9  # samples a cycle of the cut-off, of which every other one is enough
+_SAME_RATE = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Band:
+    """Trials that models are fitted to, and how they are compared.
+
+    Attributes
+    ----------
+    prepared : tuple of Prepared
+        Sampled alike.
+    every : int
+        One sample in so many is compared.
+    bounds : mapping of str to (float, float)
+        Other bounds than the physical ones, by parameter name.
+    room : tuple of int
+        That the data are padded to: see `Problem`.
+    """
+
+    prepared: tuple[Prepared, ...]
+    every: int
+    bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    room: tuple[int, int] = (0, 0)
+
+    @property
+    def angle_imposed(self) -> bool:
+        """Whether the angle was imposed, and the torque is predicted."""
+        return self.prepared[0].trial.driven == "angle"
+
+    @property
+    def interval(self) -> float:
+        """Time [s] between compared samples."""
+        return self.prepared[0].interval * self.every
+
+    @cached_property
+    def observations(self) -> list[Observation]:
+        """The trials, long ones in pieces; residuals are in the response's unit."""
+        return [o for p in self.prepared for o in pieces(p, Noise(1.0))]
+
+    @cached_property
+    def windows(self) -> list[np.ndarray]:
+        """Of each observation, the samples between which it is compared."""
+        return [np.flatnonzero(o.scale > 0) for o in self.observations]
+
+    @cached_property
+    def samples(self) -> list[np.ndarray]:
+        """Of each observation, the samples that are compared: a stretch of correlated noise."""
+        return [window[:: self.every] for window in self.windows]
+
+    @cached_property
+    def trial(self) -> np.ndarray:
+        """Number of the trial that each observation belongs to."""
+        return owners(self.observations)
+
+    @cached_property
+    def n_samples(self) -> int:
+        """Number of compared samples."""
+        return sum(chosen.size for chosen in self.samples)
+
+    @cached_property
+    def scale(self) -> float:
+        """Root mean square of the response about its level [rad or Nm]."""
+        levelled = [
+            o.measured[chosen] - o.measured[chosen].mean()
+            for o, chosen in zip(self.observations, self.samples, strict=True)
+        ]
+        return float(np.sqrt(np.mean(np.concatenate(levelled) ** 2)))
+
+    def probes(self, sd: float, seed: int) -> list[Observation]:
+        """The same observations with noise of this standard deviation [rad] in the angle."""
+        random = np.random.default_rng(seed)
+        out: list[Observation] = []
+        for p in self.prepared:
+            noise = random.standard_normal(p.trial.n_samples)
+            if self.every > 1:
+                noise = _halve(noise) / np.sqrt(np.sum(_HALF_BAND**2))
+            drive = imposed_motion(p.trial.time, p.trial.angle + sd * noise)
+            out += pieces(replace(p, drive=drive), Noise(1.0))
+        return out
+
+    def problem(
+        self,
+        model: Model,
+        *,
+        refined: Sequence[str] = (),
+        scheme: Scheme | None = None,
+        probes: Sequence[Observation] = (),
+    ) -> Problem:
+        """Problem of fitting a model to the trials, with probes after them."""
+        names = model.parameter_names
+        bounds = {n: b for n, b in self.bounds.items() if n in names}
+        return Problem(
+            model,
+            [*self.observations, *probes],
+            Prior.physical(model, **bounds),
+            fixed=plain_values(model, refined),
+            scheme=scheme,
+            room=self.room,
+        )
+
+    def stretches(self, rows: np.ndarray) -> list[np.ndarray]:
+        """Compared samples of values by observation and sample, shape (n_observations, n, ...)."""
+        return [rows[i][chosen] for i, chosen in enumerate(self.samples)]
+
+
+def band_of(
+    trials: Sequence[Trial],
+    held_out: Sequence[Trial],
+    *,
+    lowpass_hz: Lowpass = "auto",
+    bounds: Mapping[str, tuple[float, float]] | None = None,
+    room: tuple[int, int] = (0, 0),
+) -> Band:
+    """Make the trials of an investigation ready for the likelihood.
+
+    Parameters
+    ----------
+    trials, held_out : sequence of Trial
+        As of the investigation: what is held out is not compared here.
+    lowpass_hz : float, "auto" or None
+        Where the angle is imposed, the frequency [Hz] above which it is noise: see `cutoff`.
+    bounds : mapping of str to (float, float), optional
+        Other bounds than the physical ones.
+    room : tuple of int
+        That trials of an imposed torque are padded to, which are compared at every sample: so they
+        share the programs of the fits.
+
+    Raises
+    ------
+    InputError
+        Where the trials are not sampled alike.
+    """
+    every = [*trials, *held_out]
+    fitted = hold_out(prepare_whole_band(every, lowpass_hz=lowpass_hz), len(held_out)).fitted
+    intervals = [p.interval for p in fitted]
+    if max(intervals) > (1 + _SAME_RATE) * min(intervals):
+        raise InputError(
+            f"found trials sampled every {min(intervals):g} to {max(intervals):g} s, expected one "
+            "rate for all whose effects are weighed together; resample them"
+        )
+    if fitted[0].trial.driven == "torque":
+        return Band(fitted, 1, dict(bounds or {}), room)
+    cutoff_hz = cutoff(every, lowpass_hz)
+    if cutoff_hz is None or 1 / max(intervals) < _ENOUGH * cutoff_hz:
+        return Band(fitted, 1, dict(bounds or {}))
+    return Band(tuple(_halved(p) for p in fitted), 2, dict(bounds or {}))
+
+
+def _halve(values: np.ndarray) -> np.ndarray:
+    """Values without the upper half of their band; beyond the ends they stay as they are there."""
+    return np.asarray(convolve1d(values, _HALF_BAND, mode="nearest"))
+
+
+def _halved(prepared: Prepared) -> Prepared:
+    """A trial without the upper half of its band, compared where the filter knew all it needed."""
+    trial, reach = prepared.trial, _HALF_BAND.size // 2
+    angle = _halve(trial.angle)
+    # At a beginning at rest, which `prepared` shows by comparing it, the filter has no guess to do.
+    first = prepared.first if prepared.first < reach // 2 + 1 else max(prepared.first, reach)
+    return replace(
+        prepared,
+        trial=replace(trial, angle=angle),
+        drive=imposed_motion(trial.time, angle),
+        response=_halve(prepared.response),
+        first=first,
+        last=min(prepared.last, trial.n_samples - reach),
+    )

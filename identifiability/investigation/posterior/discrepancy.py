@@ -1,0 +1,316 @@
+"""A torque that no effect of a model stands behind, in the same likelihood as the effects.
+
+A Gaussian process over what a joint can resist by: its present angle and velocity (static), how far
+it moved since it turned back (hysteresis), its past motion (memory), time (stiffness and damping
+that vary alike in every trial; drift of the recorder) and, where the torque was imposed, a filter
+or shift of the recorder. Each kind has one size, of highest evidence. What is not the same in every
+trial is noise, of whatever colour.
+
+A model is as exact as its equations. So a model whose effects need a discrepancy of no more than a
+tenth of what they do is still that model; one that needs more is that model and something unknown.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import scipy.linalg
+
+from identifiability.inference.likelihood.carried import by_admittance
+from identifiability.investigation.posterior.evidence import Evaluated, Evaluator
+from identifiability.investigation.unexplained.terms import Term, Terms, interpolation
+from identifiability.investigation.unexplained.traces import Response
+from identifiability.measurement.perturbations import imposed_motion
+
+_MOST_COLUMNS, _NEGLIGIBLE = 25, 1e-3  # of one term; share of its largest direction
+_VARYING_NODES, _VARYING_STEP = 20, 0.1  # number at most; s at least
+_LARGEST, _SMALLEST, _FIRST = 3.0, 1e-6, 0.1  # sizes, over the response's
+_COUNTS = 1e-4  # size, over the response's, from which a kind is there
+_LOG_RANGE = np.log(_LARGEST / _COUNTS)  # of a kind's size, whose prior is uniform in ratios
+_STEPS, _MOVED = 80, 0.03
+_ROUNDS, _GAIN = 4, 0.5  # of noise and discrepancy in turn; nats that one must bring
+_MOST_ACTIVE = 0.25  # share of the samples that may go into directions of the discrepancy
+_WORTH = 1.0  # nats below which no discrepancy is looked for any further
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """Motion that took place in a trial, as a model says.
+
+    Attributes
+    ----------
+    interval : float
+        Time [s] between samples.
+    angle, velocity : array, shape (n,)
+        Of the joint [rad, rad/s].
+    residual, response_rate : array, shape (n,)
+        The predicted response, which here stands for what there is to be explained, and its rate.
+    """
+
+    interval: float
+    angle: np.ndarray
+    velocity: np.ndarray
+    residual: np.ndarray
+    response_rate: np.ndarray
+
+    @property
+    def time(self) -> np.ndarray:
+        """Time [s] since the first sample, shape (n,)."""
+        return np.arange(self.angle.size) * self.interval
+
+
+@dataclass(frozen=True, eq=False)
+class Discrepant:
+    """A model with a discrepancy beside it.
+
+    Attributes
+    ----------
+    log_evidence : float
+        In nats.
+    sizes : dict of str to float
+        By kind, root mean square of what it adds to the response, over the response's.
+    response : list of array
+        By stretch, what it adds to the response [rad or Nm].
+    """
+
+    log_evidence: float
+    sizes: dict[str, float]
+    response: list[np.ndarray]
+
+    @property
+    def size(self) -> float:
+        """Root mean square of all it adds to the response, over the response's."""
+        return float(np.sqrt(sum(size**2 for size in self.sizes.values())))
+
+    @property
+    def kind(self) -> str:
+        """The largest kind; "none" where there is none."""
+        if not self.sizes or max(self.sizes.values()) < _COUNTS:
+            return "none"
+        return max(self.sizes, key=lambda kind: self.sizes[kind])
+
+
+@dataclass(frozen=True, eq=False)
+class Discrepancy:
+    """What a discrepancy may be made of, for all models.
+
+    Attributes
+    ----------
+    evaluator : Evaluator
+    motion : sequence of Motion
+        That took place in each trial, as a model that fits well says.
+    """
+
+    evaluator: Evaluator
+    motion: Sequence[Motion]
+
+    @cached_property
+    def columns(self) -> Mapping[str, list[np.ndarray]]:
+        """By kind, what each unit adds to the response, by stretch; of size 1 all together."""
+        joint = self.evaluator.reference.joint
+        values = {"K": max(float(joint[0]), 1e-3), "B": max(float(joint[1]), 1e-4)}
+        respond = _response(self.evaluator, self.motion)
+        terms = Terms(self.motion, respond, values)
+        found = {
+            "static": [_reduced(terms.static())],
+            "hysteresis": [_reduced(terms.hysteresis())],
+            "memory": [
+                _reduced(terms.memory("memory", lambda v: v)),
+                _reduced(terms.memory("memory_positive", lambda v: np.maximum(v, 0))),
+            ],
+            "drift": [_reduced(terms.common_drift())],
+            "varying": [self._varying(values, respond)],
+        }
+        # The rate of a torque that is predicted from a noisy angle is noise more than motion.
+        if not self.evaluator.band.angle_imposed:
+            found["sensor"] = [_reduced(terms.sensor())]
+        return {
+            kind: self._compared([np.hstack(c) for c in zip(*parts, strict=True)])
+            for kind, parts in found.items()
+        }
+
+    def _varying(self, values: Mapping[str, float], respond: Response) -> list[np.ndarray]:
+        longest = max(m.time[-1] for m in self.motion)
+        nodes = np.arange(
+            0.0, longest + _VARYING_STEP, max(_VARYING_STEP, longest / _VARYING_NODES)
+        )
+        out = []
+        for m in self.motion:
+            at = interpolation(m.time, nodes)
+            spring = values["K"] * m.angle[:, None] * at
+            dashpot = values["B"] * m.velocity[:, None] * at
+            out.append(respond.to(np.hstack([spring, dashpot]), m.interval))
+        return out
+
+    def _compared(self, by_trial: list[np.ndarray]) -> list[np.ndarray]:
+        """Columns of a kind at the samples that are compared."""
+        band = self.evaluator.band
+        every = np.concatenate(by_trial)
+        size = float(np.sqrt(np.mean(np.sum(every**2, axis=1))))
+        cursor = [p.first for p in band.prepared]
+        out = []
+        for window, trial in zip(band.windows, band.trial, strict=True):
+            first, cursor[trial] = cursor[trial], cursor[trial] + window.size
+            out.append(by_trial[trial][first : cursor[trial] : band.every] / max(size, 1e-300))
+        return out
+
+    @property
+    def kinds(self) -> tuple[str, ...]:
+        """Kinds of torque that there may be."""
+        return tuple(self.columns)
+
+    @cached_property
+    def _all(self) -> list[np.ndarray]:
+        return [np.hstack(parts) for parts in zip(*self.columns.values(), strict=True)]
+
+    @cached_property
+    def _owner(self) -> np.ndarray:
+        """Number of the kind that each column belongs to."""
+        widths = [parts[0].shape[1] for parts in self.columns.values()]
+        return np.repeat(np.arange(len(widths)), widths)
+
+    def beside(self, found: Evaluated, most: float | None = None) -> Discrepant:
+        """A model with a discrepancy, noise and discrepancy estimated in turn.
+
+        Parameters
+        ----------
+        found : Evaluated
+        most : float, optional
+            Largest root mean square [rad or Nm] of each kind; a few times the response's by
+            default.
+        """
+        evaluator, band = self.evaluator, self.evaluator.band
+        cap = _LARGEST * band.scale if most is None else most
+        sizes = np.full(len(self.kinds), min(_FIRST * band.scale, cap))
+        problem = band.problem(
+            found.model,
+            refined=found.refined,
+            scheme=found.scheme,
+            probes=evaluator.reference.probes,
+        )
+        here, best = found, None
+        tried = evaluator.orders
+        for _ in range(_ROUNDS):
+            white = here.weights.whitened(self._all)
+            shared = here.directions.T @ white
+            taken = np.linalg.solve(here.precision, shared)
+            inner = white.T @ white - shared.T @ taken
+            along = white.T @ here.white - taken.T @ here.gradient
+            gain, sizes, mean = self._sized(inner, along, sizes, cap)
+            there = int(np.sum(sizes > _COUNTS * band.scale))
+            log_evidence = here.log_evidence + gain - there * np.log(_LOG_RANGE)
+            response = [columns @ mean for columns in self._all]
+            if best is not None and log_evidence < best.log_evidence + _GAIN:
+                break
+            best = Discrepant(log_evidence, self._by_kind(mean), response)
+            if gain < _WORTH:
+                break
+            raw = self._freed(here, inner, sizes, response)
+            weights = evaluator.reference.weights(raw, tried)
+            tried = weights.contenders[:1]
+            here = evaluator.evaluated(problem, found.x, weights, found.refined)
+        assert best is not None
+        return best
+
+    def _freed(
+        self, here: Evaluated, inner: np.ndarray, sizes: np.ndarray, response: list[np.ndarray]
+    ) -> list[np.ndarray]:
+        """A model's residual without its discrepancy, with all that was taken out of it."""
+        scale = sizes[self._owner]
+        eigenvalues, vectors = np.linalg.eigh(inner * np.outer(scale, scale))
+        most = int(_MOST_ACTIVE * self.evaluator.band.n_samples)
+        # What the data say more about than the prior.
+        active = vectors[:, eigenvalues > 1][:, -most:]
+        added = [(columns * scale) @ active for columns in self._all]
+        left = [raw[:, 0] - own for raw, own in zip(here.raw, response, strict=True)]
+        taken = [np.column_stack([raw[:, 1:], a]) for raw, a in zip(here.raw, added, strict=True)]
+        white = here.weights.whitened(
+            [np.column_stack(pair) for pair in zip(left, taken, strict=True)]
+        )
+        rest = np.linalg.lstsq(white[:, 1:], white[:, 0], rcond=1e-10)[0]
+        return [
+            np.column_stack([r - columns @ rest, columns])
+            for r, columns in zip(left, taken, strict=True)
+        ]
+
+    def _sized(
+        self, inner: np.ndarray, along: np.ndarray, sizes: np.ndarray, cap: float
+    ) -> tuple[float, np.ndarray, np.ndarray]:
+        """Sizes of highest evidence, what they add to it, and the weights' mean.
+
+        By the fixed point of MacKay 1992 (Neural Computation 4:415-447).
+        """
+        least = _SMALLEST * self.evaluator.band.scale
+        for _ in range(_STEPS):
+            scale = sizes[self._owner]
+            system = inner * np.outer(scale, scale)
+            system.flat[:: len(system) + 1] += 1 + 1e-9
+            factor = scipy.linalg.cho_factor(system, lower=True)
+            solved = scipy.linalg.cho_solve(factor, scale * along)
+            covariance = np.diag(scipy.linalg.cho_solve(factor, np.eye(len(system))))
+            mean = scale * solved
+            gain = 0.5 * float((scale * along) @ solved)
+            gain -= float(np.sum(np.log(np.diag(factor[0]))))
+            wanted = np.empty_like(sizes)
+            for i in range(sizes.size):
+                own = self._owner == i
+                determined = max(float(np.sum(1 - covariance[own])), 1e-9)
+                wanted[i] = np.sqrt(np.sum(mean[own] ** 2) / determined)
+            wanted = np.clip(wanted, least, cap)
+            if np.max(np.abs(np.log(wanted / sizes))) < _MOVED:
+                break
+            sizes = np.clip(np.sqrt(sizes * wanted), least, cap)
+        return gain, sizes, mean
+
+    def _by_kind(self, mean: np.ndarray) -> dict[str, float]:
+        every, scale = np.concatenate(self._all), self.evaluator.band.scale
+        return {
+            kind: float(
+                np.sqrt(np.mean((every[:, self._owner == i] @ mean[self._owner == i]) ** 2)) / scale
+            )
+            for i, kind in enumerate(self.kinds)
+        }
+
+
+def discrepancy_of(evaluator: Evaluator, best: Evaluated) -> Discrepancy:
+    """Prepare the discrepancies, for the motion that a model which fits well predicts."""
+    band = evaluator.band
+    problem = band.problem(best.model, refined=best.refined, scheme=best.scheme)
+    responses, cursor = problem.responses(best.x), [p.first for p in band.prepared]
+    predicted = [p.response.copy() for p in band.prepared]
+    for response, window, trial in zip(responses, band.windows, band.trial, strict=True):
+        first, cursor[trial] = cursor[trial], cursor[trial] + window.size
+        predicted[trial][first : cursor[trial]] = response[window]
+    motion = []
+    for p, response in zip(band.prepared, predicted, strict=True):
+        rate = np.gradient(response, p.interval)
+        angle, velocity = response, rate
+        if band.angle_imposed:
+            angle, velocity, _ = imposed_motion(p.trial.time, p.trial.angle).signals.T
+        motion.append(Motion(p.interval, angle, velocity, response, rate))
+    return Discrepancy(evaluator, tuple(motion))
+
+
+def _reduced(term: Term) -> list[np.ndarray]:
+    """A term's columns by trial, at its first guess of shape, in its largest directions."""
+    root = term.roots(term.start)[0]
+    columns = [c @ root for c in term.columns]
+    gram = sum(c.T @ c for c in columns)
+    eigenvalues, vectors = np.linalg.eigh(gram)
+    kept = eigenvalues > _NEGLIGIBLE**2 * max(eigenvalues[-1], 1e-300)
+    kept[: max(0, kept.size - _MOST_COLUMNS)] = False
+    return [c @ vectors[:, kept] for c in columns]
+
+
+def _response(evaluator: Evaluator, motion: Sequence[Motion]) -> Response:
+    """How a torque shows in the response: by the admittance of K, B and I."""
+    if evaluator.band.angle_imposed:
+        return Response(None)
+    longest: dict[float, int] = {}
+    for m in motion:
+        longest[m.interval] = max(longest.get(m.interval, 0), m.angle.size)
+    joint = evaluator.reference.joint
+    return Response({dt: by_admittance(joint, dt).impulse_response(n) for dt, n in longest.items()})

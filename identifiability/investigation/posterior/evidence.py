@@ -1,0 +1,317 @@
+"""Evidence of a model: its likelihood, averaged over what its parameters may be before the data.
+
+By Laplace's approximation about the best parameters, with the residual's noise estimated for this
+model (restricted likelihood, one nat for each of its parameters as AICc counts them). The priors
+are proper and free of units: K, B and I may be anything that makes up to four times the measured
+response, alike in all models; an effect most likely makes a response no larger than what was
+measured; its shape is anything between the physical bounds, by ratios where these span more than
+one decade. A stiffness that vanishes as it grows counts by its compliance.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import scipy.special
+
+from identifiability.inference.bounds import touching
+from identifiability.inference.fitting import explore
+from identifiability.inference.likelihood.estimate import Contender, Order, contenders
+from identifiability.inference.problem import Problem
+from identifiability.investigation.posterior.band import Band
+from identifiability.investigation.posterior.noises import (
+    Reference,
+    Weighed,
+    Weights,
+    raw_residuals,
+)
+from identifiability.joint.model import KBI, Model
+from identifiability.joint.scheme import Scheme
+
+_JOINT_RANGE = 4.0  # responses to K, B or I, over the measured one, that the prior spans
+_DECADE = 10.0  # ratio of bounds from which a shape's prior is uniform by ratios
+_EVALUATIONS, _ROUNDS = 12, 2
+_REFERENCE_ROUNDS, _SETTLED = 5, 1e-3
+_LEAST_EIGENVALUE = 1e-12
+_PLAIN = ((0, 0), (1, 0), (1, 1))  # orders that the noise of a better model may fall to
+
+
+@dataclass(frozen=True, eq=False)
+class Prior:
+    """Prior of one free parameter, in the coordinate in which the evidence is taken.
+
+    Attributes
+    ----------
+    turn : float
+        Derivative of the parameter with respect to the coordinate, at the parameter's value.
+    sd : float
+        Of a normal one the standard deviation; of a uniform one that of a normal one of its height,
+        so that it integrates to 1 where the data say nothing.
+    log_density : float
+        At the value.
+    distance : float
+        Of the coordinate from where the effect vanishes; 0 for what does not make an effect vanish.
+    """
+
+    turn: float
+    sd: float
+    log_density: float
+    distance: float
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluated:
+    """A model with its noise, fitted together, and its evidence.
+
+    Attributes
+    ----------
+    model : Model
+    values : dict of str to float
+        Of all parameters, by name.
+    refined : tuple of str
+    scheme : Scheme or None
+    x : array, shape (n_free,)
+    weights : Weights
+    log_evidence : float
+        In nats.
+    effect : float
+        Root mean square of what the effects add to the response [rad or Nm], linearised.
+    directions : array, shape (n, k)
+        Whitened derivatives by the coordinates of the parameters that lie inside their bounds.
+    precision : array, shape (k, k)
+        Of these coordinates.
+    gradient : array, shape (k,)
+    white : array, shape (n,)
+        Whitened residual.
+    raw : list of array
+        By stretch, the residual and its derivatives.
+    """
+
+    model: Model
+    values: dict[str, float]
+    refined: tuple[str, ...]
+    scheme: Scheme | None
+    x: np.ndarray
+    weights: Weights
+    log_evidence: float
+    effect: float
+    directions: np.ndarray
+    precision: np.ndarray
+    gradient: np.ndarray
+    white: np.ndarray
+    raw: list[np.ndarray]
+
+    @property
+    def keys(self) -> tuple[str, ...]:
+        """Keys of the model's effects."""
+        return self.model.effect_keys
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluator:
+    """Evaluates models by one likelihood.
+
+    Attributes
+    ----------
+    reference : Reference
+    shortlist : tuple of Contender
+        Orders of the noise that came nearest at K, B and I.
+    joint_widths : array, shape (3,)
+        Of the priors of K, B and I.
+    start : Weights
+        Noise of K, B and I, by which other models are fitted first.
+    """
+
+    reference: Reference
+    shortlist: tuple[Contender, ...]
+    joint_widths: np.ndarray
+    start: Weights
+
+    @property
+    def band(self) -> Band:
+        """What is compared."""
+        return self.reference.band
+
+    def evaluate(
+        self,
+        model: Model,
+        values: Mapping[str, float],
+        *,
+        refined: Sequence[str] = (),
+        scheme: Scheme | None = None,
+    ) -> Evaluated:
+        """Fit a model and its noise in turn, from given values, and take its evidence.
+
+        Raises
+        ------
+        InputError
+            Where the model has no finite response.
+        """
+        problem = self.band.problem(
+            model, refined=refined, scheme=scheme, probes=self.reference.probes
+        )
+        weights, x, best = self.start, problem.free_vector(values), None
+        tried = self.orders
+        for _ in range(_ROUNDS):
+            weighed = Weighed(problem, self.band, weights)
+            x = explore(weighed, x[None], evaluations=_EVALUATIONS).values
+            weights = self.reference.weights(raw_residuals(problem, self.band, x)[0], tried)
+            tried = weights.contenders[:1]
+            found = self.evaluated(problem, x, weights, refined)
+            if best is None or found.log_evidence > best.log_evidence:
+                best = found
+        assert best is not None
+        return best
+
+    @property
+    def orders(self) -> tuple[Contender, ...]:
+        """Orders of the noise that are tried: the shortlist, and plain ones."""
+        carried = self.band.angle_imposed
+        plain = [Contender(Order(p, q, carried)) for p, q in _PLAIN]
+        known = {contender.order for contender in self.shortlist}
+        return (*self.shortlist, *(c for c in plain if c.order not in known))
+
+    def evaluated(
+        self, problem: Problem, x: np.ndarray, weights: Weights, refined: Sequence[str] = ()
+    ) -> Evaluated:
+        """Evidence of a model at its best parameters, with given noise."""
+        weighed = Weighed(problem, self.band, weights)
+        raw, _ = raw_residuals(problem, self.band, x)
+        white, probe = weighed.whitened(x)
+        residual, jacobian = white[:, 0], white[:, 1:]
+        information, gradient = jacobian.T @ jacobian, jacobian.T @ residual
+        squares = float(residual @ residual)
+        if probe is not None:
+            information = information - probe[:, 1:].T @ probe[:, 1:]
+            gradient = gradient - probe[:, 1:].T @ probe[:, 0]
+            squares += weights.excess - float(probe[:, 0] @ probe[:, 0])
+        derivatives = np.concatenate(raw)[:, 1:]
+        priors = self._priors(problem, x, np.sqrt(np.mean(derivatives**2, axis=0)))
+        turn = np.array([p.turn for p in priors])
+        information, gradient = information * np.outer(turn, turn), gradient * turn
+        precision = information + np.diag([p.sd**-2 for p in priors])
+        at_lower, at_upper = touching(x, problem.lower, problem.upper)
+        at_bound = at_lower | at_upper
+        volume, inside = _log_volume(precision, gradient, at_bound)
+        order = weights.n_parameters
+        n = self.band.n_samples
+        log_evidence = (
+            sum(p.log_density for p in priors)
+            + volume
+            - 0.5 * (squares + weights.log_determinant)
+            - order * n / max(1, n - order - 2)
+        )
+        effect = derivatives @ (turn * [p.distance for p in priors])
+        directions = jacobian[:, inside] * turn[inside]
+        own = directions.T @ directions + np.diag([priors[i].sd ** -2 for i in inside])
+        return Evaluated(
+            problem.model,
+            dict(zip(problem.model.parameter_names, map(float, problem.complete(x)), strict=True)),
+            tuple(refined),
+            problem.integration,
+            x,
+            weights,
+            float(log_evidence),
+            float(np.sqrt(np.mean(effect**2))),
+            directions,
+            own,
+            gradient[inside],
+            residual,
+            raw,
+        )
+
+    def _priors(self, problem: Problem, x: np.ndarray, sizes: np.ndarray) -> list[Prior]:
+        """Priors of the free parameters, given what a unit of each adds to the response."""
+        out = []
+        for name, value, low, high, size in zip(
+            problem.names, x, problem.lower, problem.upper, sizes, strict=True
+        ):
+            null = problem.model.parameters[name].null
+            if name in ("K", "B", "I"):
+                width = float(self.joint_widths[("K", "B", "I").index(name)])
+                out.append(_uniform(1.0, width))
+                continue
+            if null is None:
+                by_ratio = low > 0 and high > _DECADE * low
+                width = float(np.log(high / low) if by_ratio else high - low)
+                out.append(_uniform(value if by_ratio else 1.0, width))
+                continue
+            endless = not np.isfinite(null)
+            turn, distance = (-(value**2), 1 / value) if endless else (1.0, value - null)
+            width = float(self.band.scale / max(size * abs(turn), 1e-300))
+            one_sided = np.log(2) if endless or null in (low, high) else 0.0
+            normal = -0.5 * (distance / width) ** 2 - np.log(width * np.sqrt(2 * np.pi))
+            out.append(Prior(turn, width, float(normal + one_sided), distance))
+        return out
+
+
+def _uniform(turn: float, width: float) -> Prior:
+    return Prior(turn, width / np.sqrt(2 * np.pi), -float(np.log(width)), 0.0)
+
+
+def evaluator_of(band: Band, values: Mapping[str, float], *, seed: int = 1) -> Evaluator:
+    """Fit K, B and I with their noise, and make ready to evaluate other models.
+
+    Parameters
+    ----------
+    band : Band
+    values : mapping of str to float
+        K, B and I to start from.
+    seed : int
+        Of the probes.
+    """
+    angle = band.angle_imposed
+    every = contenders(carried=(True,) if angle else (False, True))
+    problem = band.problem(KBI())
+    x, tried = problem.free_vector(values), every
+    reference, shortlist = Reference.of(band, problem.complete(x)[:3], problem, seed), every
+    for rounds in range(_REFERENCE_ROUNDS):
+        reference = replace(reference, joint=problem.complete(x)[:3])
+        raw, _ = raw_residuals(problem, band, x)
+        weights = reference.weights(raw, tried)
+        weighed = Weighed(reference.probe_problem or problem, band, weights)
+        before, x = x, explore(weighed, x[None], evaluations=2 * _EVALUATIONS).values
+        # The order is chosen at the start and once more, then kept.
+        tried = every if rounds == 0 else weights.contenders[:1]
+        if rounds <= 1:
+            shortlist = weights.contenders
+        if np.max(np.abs(x - before) / np.maximum(np.abs(x), 1e-300)) < _SETTLED:
+            break
+    derivatives = np.concatenate(raw)[:, 1:]
+    sizes = np.sqrt(np.mean(derivatives**2, axis=0))
+    widths = _JOINT_RANGE * band.scale / np.maximum(sizes, 1e-300)
+    return Evaluator(reference, shortlist, widths, weights)
+
+
+def _log_volume(
+    precision: np.ndarray, gradient: np.ndarray, at_bound: np.ndarray
+) -> tuple[float, np.ndarray]:
+    """Logarithm of the integral of the posterior about its mode, over its height there.
+
+    Normal in the coordinates inside their bounds; in one at a bound the part of a normal that lies
+    on its side, whose slope there is not 0.
+
+    Returns
+    -------
+    float
+    array of int
+        Coordinates inside.
+    """
+    inside = np.flatnonzero(~at_bound)
+    size = np.sqrt(np.abs(np.diag(precision)))
+    scaled = precision / np.outer(size, size)
+    block = scaled[np.ix_(inside, inside)]
+    eigenvalues = np.maximum(np.linalg.eigvalsh(block), _LEAST_EIGENVALUE)
+    total = 0.5 * inside.size * np.log(2 * np.pi)
+    total -= 0.5 * float(np.sum(np.log(eigenvalues))) + float(np.sum(np.log(size[inside])))
+    for i in np.flatnonzero(at_bound):
+        # What the others take over when this one moves inside.
+        taken = scaled[i, inside]
+        others = np.linalg.lstsq(block, taken, rcond=1e-10)[0] if inside.size else np.zeros(0)
+        curvature = max(float(1 - taken @ others), _LEAST_EIGENVALUE) * size[i] ** 2
+        slope = abs(gradient[i]) / np.sqrt(2 * curvature)
+        total += 0.5 * np.log(np.pi / (2 * curvature))
+        total += float(np.log(max(scipy.special.erfcx(min(slope, 1e8)), 1e-300)))
+    return total, inside

@@ -1,0 +1,261 @@
+"""Noise of one model's residual, and the residual that it whitens.
+
+Every model is judged by the noise that it leaves, in level and colour: a model that fits better has
+to show it in less noise, and is not measured by the noise of another.
+
+Noise of an imposed angle is carried over to the torque by the joint, and makes every parameter that
+amplifies it too small. How much it adds to the sum of squares is computed for any model by probes:
+the same trials with more such noise. It is taken off, as in `inference.likelihood.coloured`, where
+K, B and I suffice to say how much.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from threading import local
+
+import numpy as np
+
+from identifiability.inference.likelihood.carried import by_admittance, by_impedance
+from identifiability.inference.likelihood.coloured import excess_of
+from identifiability.inference.likelihood.estimate import (
+    Contender,
+    NoiseEstimate,
+    Stretch,
+    estimate_noise,
+    without_level,
+)
+from identifiability.inference.likelihood.processes import Process, Whitening
+from identifiability.inference.problem import Observation, Problem
+from identifiability.investigation.posterior.band import Band
+from identifiability.joint.model import Model
+
+_CEILING = 6.0  # of what probes take off, so that the rest of the sum of squares stays positive
+_HUGE = 1e30  # stands for a response without bound
+_PROBE = 1e-4  # size over the angle's: small, so that no model is moved out of its linear range
+_NO_EXCESS = 1e-6  # sum of squares that is none
+
+
+@dataclass(frozen=True, eq=False)
+class Weights:
+    """Whitening by the noise of one model.
+
+    Attributes
+    ----------
+    band : Band
+    estimate : NoiseEstimate
+    contenders : tuple of Contender
+        The orders that came nearest, the best first.
+    gain : float
+        What a probe is multiplied by to have the size of the noise of the angle; 0 without.
+    excess : float
+        Sum of squares that this noise adds at the reference joint.
+    """
+
+    band: Band
+    estimate: NoiseEstimate
+    contenders: tuple[Contender, ...]
+    gain: float = 0.0
+    excess: float = 0.0
+
+    @property
+    def n_parameters(self) -> int:
+        """Number of the noise's parameters, the level not counted; levels by trial are."""
+        levels = self.estimate.levels
+        return self.contenders[0].order.size + (levels.size - 1) * bool(np.ptp(levels) > 0)
+
+    @cached_property
+    def _whitening(self) -> Whitening:
+        return self.estimate.noise.whitening(max(s.size for s in self.band.samples))
+
+    def whitened(self, by_stretch: Sequence[np.ndarray]) -> np.ndarray:
+        """Columns of all stretches, whitened and without a level in each."""
+        return np.concatenate(
+            [
+                without_level(self._whitening, columns / self.estimate.levels[trial])[0]
+                for columns, trial in zip(by_stretch, self.band.trial, strict=True)
+            ]
+        )
+
+    @cached_property
+    def log_determinant(self) -> float:
+        """Of the covariance of all samples, unknown levels of the stretches marginalised."""
+        total = 0.0
+        for chosen, trial in zip(self.band.samples, self.band.trial, strict=True):
+            level, n = float(self.estimate.levels[trial]), chosen.size
+            length = np.linalg.norm(self._whitening(np.ones((n, 1)))) / level
+            total += self._whitening.log_determinant(n) + 2 * n * np.log(level)
+            total += 2 * np.log(length)
+        return float(total)
+
+
+def raw_residuals(
+    problem: Problem, band: Band, x: np.ndarray
+) -> tuple[list[np.ndarray], list[np.ndarray] | None]:
+    """Residual and its derivatives by stretch, side by side; the same of what probes change."""
+    n, rows = len(problem.observations), len(band.observations)
+    residuals = problem.residuals(x).reshape(max(n, band.room[0]), -1, 1)
+    jacobian = problem.jacobian(x).reshape(*residuals.shape[:2], -1)
+    both = np.concatenate([residuals, jacobian], axis=2)
+    both = np.nan_to_num(both, nan=_HUGE, posinf=_HUGE, neginf=-_HUGE)
+    trials = band.stretches(both[:rows])
+    if n == rows:
+        return trials, None
+    return trials, band.stretches(both[rows:n] - both[:rows])
+
+
+@dataclass(frozen=True, eq=False)
+class Weighed:
+    """A problem whose residuals are whitened by given noise: what `explore` needs of one.
+
+    Attributes
+    ----------
+    problem : Problem
+        Of the band's observations, then of its probes where there are any.
+    band : Band
+    weights : Weights
+    """
+
+    problem: Problem
+    band: Band
+    weights: Weights
+    _last: local = field(default_factory=local, init=False, repr=False)
+
+    @property
+    def model(self) -> Model:
+        """The problem's."""
+        return self.problem.model
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the free parameters."""
+        return self.problem.names
+
+    @property
+    def lower(self) -> np.ndarray:
+        """Lower bounds of the free parameters."""
+        return self.problem.lower
+
+    @property
+    def upper(self) -> np.ndarray:
+        """Upper bounds of the free parameters."""
+        return self.problem.upper
+
+    def whitened(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
+        """What `raw_residuals` gives, whitened, all stretches in one."""
+        trials, probes = raw_residuals(self.problem, self.band, x)
+        white = self.weights.whitened(trials)
+        if probes is None:
+            return white, None
+        return white, self.weights.gain * self.weights.whitened(probes)
+
+    def residuals(self, x: np.ndarray) -> np.ndarray:
+        """Whitened residuals; with probes one more, less the larger the noise's share is."""
+        return self._both(x)[0]
+
+    def jacobian(self, x: np.ndarray) -> np.ndarray:
+        """Derivatives of `residuals`."""
+        return self._both(x)[1]
+
+    def _both(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        x, last = np.asarray(x, float), self._last
+        if not hasattr(last, "x") or not np.array_equal(last.x, x):
+            white, probe = self.whitened(x)
+            residuals, jacobian = white[:, 0], white[:, 1:]
+            if probe is not None:
+                ceiling = _CEILING * max(self.weights.excess, _NO_EXCESS)
+                share = float(probe[:, 0] @ probe[:, 0])
+                rest = np.sqrt(max(ceiling - share, 1e-3 * ceiling))
+                residuals = np.append(residuals, rest)
+                jacobian = np.vstack([jacobian, -(probe[:, 1:].T @ probe[:, 0]) / rest])
+            last.x, last.both = x.copy(), (residuals, jacobian)
+        found: tuple[np.ndarray, np.ndarray] = last.both
+        return found
+
+
+@dataclass(frozen=True, eq=False)
+class Reference:
+    """The joint by which noise is carried from one channel to the other, the same for all models.
+
+    Attributes
+    ----------
+    band : Band
+    joint : array, shape (3,)
+        Its K, B and I.
+    probes : list of Observation
+        None where the torque is imposed.
+    probe_problem : Problem or None
+        K, B and I with these probes.
+    """
+
+    band: Band
+    joint: np.ndarray
+    probes: list[Observation] = field(default_factory=list)
+    probe_problem: Problem | None = None
+
+    @property
+    def carried(self) -> Process:
+        """What white noise of the other channel, of standard deviation 1, adds to the response."""
+        carry = by_impedance if self.band.angle_imposed else by_admittance
+        return carry(self.joint, self.band.interval)
+
+    def excess(self, estimate: NoiseEstimate) -> float:
+        """Sum of squares that noise of the angle is expected to add at this joint."""
+        band = self.band
+        if not band.angle_imposed:
+            return 0.0
+        form = excess_of([estimate], [band.n_samples], [band.interval])
+        return 0.0 if form is None else float(self.joint @ form @ self.joint)
+
+    @classmethod
+    def of(cls, band: Band, joint: np.ndarray, problem: Problem, seed: int) -> Reference:
+        """A joint, with probes where the angle is imposed.
+
+        Parameters
+        ----------
+        band : Band
+        joint : array, shape (3,)
+        problem : Problem
+            K, B and I of the band.
+        seed : int
+            Of the probes.
+        """
+        if not band.angle_imposed:
+            return cls(band, joint)
+        size = float(np.mean([np.std(p.trial.angle) for p in band.prepared]))
+        probes = band.probes(_PROBE * size, seed)
+        whole = replace(problem, observations=[*band.observations, *probes])
+        return cls(band, joint, probes, whole)
+
+    def weights(self, raw: Sequence[np.ndarray], tried: Sequence[Contender]) -> Weights:
+        """Estimate the noise of a residual.
+
+        Parameters
+        ----------
+        raw : sequence of array
+            By stretch, the residual, then derivatives that the fit took out of it.
+        tried : sequence of Contender
+            See `estimate_noise`.
+        """
+        stretches = [
+            Stretch(columns[:, 0], columns[:, 1:], int(trial))
+            for columns, trial in zip(raw, self.band.trial, strict=True)
+        ]
+        estimate, best = estimate_noise(stretches, self.carried, tried)
+        weights = Weights(self.band, estimate, best)
+        if self.probe_problem is None:
+            return weights
+        # One probe is a draw: its size at this joint is set to what is expected there.
+        excess = self.excess(estimate)
+        x = self.probe_problem.free_vector(self._values)
+        _, probes = raw_residuals(self.probe_problem, self.band, x)
+        assert probes is not None
+        drawn = weights.whitened([p[:, :1] for p in probes])
+        gain = np.sqrt(excess / max(float(np.sum(drawn**2)), 1e-300))
+        return replace(weights, gain=float(gain), excess=excess)
+
+    @property
+    def _values(self) -> dict[str, float]:
+        return dict(zip(("K", "B", "I"), map(float, self.joint), strict=True))

@@ -1,0 +1,261 @@
+"""Probabilities of effect sets, "none of these" among them.
+
+How many effects there are is as probable for every number from none to the most that are tried;
+then every set of so many is, the unknown being one of the effects (Scott & Berger 2010, Ann Stat
+38:2587-2619): trying more effects makes a false name no more likely. A set with a discrepancy of no
+more than a tenth of what its effects do is still that set, whose equations are not exact; with more
+it is "none of these".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from math import comb, log
+
+import numpy as np
+
+from identifiability.investigation.fits.candidate import Candidate
+from identifiability.investigation.posterior.discrepancy import (
+    Discrepancy,
+    Discrepant,
+    discrepancy_of,
+)
+from identifiability.investigation.posterior.evidence import Evaluated, Evaluator
+
+_FORM = 0.1  # share of what its effects do, that a model's equations may be wrong by
+_CONTENDS = 12.0  # nats that a set may be behind, for a discrepancy to be put beside it
+_MOST_BESIDE = 6
+
+
+@dataclass(frozen=True, eq=False)
+class SetProbability:
+    """One set of effects.
+
+    Attributes
+    ----------
+    effects : tuple of str or None
+        Their keys in order; empty for none; ``None`` for none of these: something unknown, alone or
+        beside known ones.
+    probability : float
+    log_evidence : float
+        In nats, of the best form of the model, with its discrepancy where it needs one.
+    """
+
+    effects: tuple[str, ...] | None
+    probability: float
+    log_evidence: float
+
+
+@dataclass(frozen=True, eq=False)
+class Probabilities:
+    """What is probable, of all that was tried.
+
+    Attributes
+    ----------
+    rows : tuple of SetProbability
+        The most probable first.
+    best : tuple of str
+        Effects of the most probable model; of "none of these", those beside which it is.
+    values : dict of str to float
+        Its parameters, by name, as fitted together with the noise.
+    noise, response : float
+        Root mean square of what it leaves, and of the response about its level [rad or Nm].
+    discrepancy : Discrepant or None
+        What the most probable set leaves, as a torque that nothing names; None where it could not
+        be computed.
+    unknown : tuple of str
+        Of "none of these", the known effects beside which something unknown is most probable.
+    behind : float
+        How far [nats] the best named set is behind something unknown; 0 where it is not.
+    candidates : mapping of tuple of str to Candidate
+        The fit that each set was weighed from.
+    failures : mapping of str to str
+        Models that could not be evaluated, and why.
+    """
+
+    rows: tuple[SetProbability, ...]
+    best: tuple[str, ...]
+    values: Mapping[str, float]
+    noise: float
+    response: float
+    discrepancy: Discrepant | None
+    unknown: tuple[str, ...]
+    behind: float
+    candidates: Mapping[tuple[str, ...], Candidate]
+    failures: Mapping[str, str] = field(default_factory=dict)
+
+    def of(self, effects: Sequence[str] | None) -> float:
+        """Probability of a set; 0 where it was not tried."""
+        wanted = None if effects is None else tuple(sorted(effects))
+        return sum(row.probability for row in self.rows if row.effects == wanted)
+
+    @property
+    def nothing(self) -> float:
+        """Probability that nothing is missing."""
+        return self.of(())
+
+    @property
+    def none_of_these(self) -> float:
+        """Probability that something is missing which no known effect is."""
+        return self.of(None)
+
+    def claim(self, sets: Sequence[Sequence[str]]) -> float:
+        """Probability that each of some sets of alternatives holds an effect that is there.
+
+        Parameters
+        ----------
+        sets : sequence of sequence of str
+            For each effect that is claimed all that it may be.
+        """
+        return sum(
+            row.probability
+            for row in self.rows
+            if row.effects and _matched(row.effects, [set(s) for s in sets])
+        )
+
+    def credible(self, share: float = 0.95) -> tuple[SetProbability, ...]:
+        """The fewest rows that together have at least this probability."""
+        total, out = 0.0, []
+        for row in self.rows:
+            if total >= share:
+                break
+            out.append(row)
+            total += row.probability
+        return tuple(out)
+
+
+def _matched(effects: Sequence[str], sets: Sequence[set[str]]) -> bool:
+    """Whether every set can be given an effect of its own."""
+    if not sets:
+        return True
+    first, *rest = sets
+    return any(
+        _matched([e for e in effects if e != effect], rest) for effect in effects if effect in first
+    )
+
+
+@dataclass(eq=False)
+class Weighing:
+    """Evaluates candidates as they come, and puts them together.
+
+    Attributes
+    ----------
+    evaluator : Evaluator
+    n_library : int
+        Number of effects that could be tried.
+    """
+
+    evaluator: Evaluator
+    n_library: int
+    found: dict[tuple[str, ...], Evaluated] = field(default_factory=dict)
+    candidates: dict[tuple[str, ...], Candidate] = field(default_factory=dict)
+    failures: dict[str, str] = field(default_factory=dict)
+
+    def weigh(self, candidate: Candidate, base: Sequence[str] = ()) -> Evaluated | None:
+        """Evaluate a fitted model; of the forms of one set the best is kept.
+
+        Parameters
+        ----------
+        candidate : Candidate
+        base : sequence of str
+            Effects of the model that the search starts from: they are no findings.
+        """
+        keys = tuple(sorted(k for k in candidate.keys if k not in base))
+        if candidate.failure:
+            self.failures["+".join(keys)] = candidate.failure
+            return None
+        try:
+            found = self.evaluator.evaluate(
+                candidate.model,
+                candidate.values,
+                refined=candidate.refined,
+                scheme=candidate.scheme,
+            )
+        except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
+            self.failures["+".join(keys)] = str(error)
+            return None
+        # Where an imposed angle moves the joint, parameters may lie anywhere on a ridge.
+        if not self.evaluator.band.angle_imposed and (why := found.model.objection(found.values)):
+            self.failures["+".join(keys)] = why
+            return None
+        known = self.found.get(keys)
+        if known is None or found.log_evidence > known.log_evidence:
+            self.found[keys], self.candidates[keys] = found, candidate
+        return found
+
+    def log_prior(self, n_effects: int) -> float:
+        """Of one set of so many effects, the unknown counted as one of the library."""
+        return -log(comb(self.n_library + 1, min(n_effects, self.n_library + 1)))
+
+    def posterior(self) -> Probabilities:
+        """Probabilities of all that was weighed."""
+        ranked = sorted(
+            self.found, key=lambda keys: -self.found[keys].log_evidence - self.log_prior(len(keys))
+        )
+        best = self.found[ranked[0]]
+        discrepancies = discrepancy_of(self.evaluator, best)
+        exact = {k: f.log_evidence + self.log_prior(len(k)) for k, f in self.found.items()}
+        named, unknown, beside = dict(exact), dict[tuple[str, ...], float](), {}
+        near = [k for k in ranked if exact[k] > exact[ranked[0]] - _CONTENDS][:_MOST_BESIDE]
+        for keys in dict.fromkeys([*near, *ranked[:2], ()]):
+            if keys not in self.found:
+                continue
+            one = self._beside(discrepancies, keys)
+            if one is None:
+                continue
+            free, form = one
+            beside[keys] = free
+            if free.kind == "none":
+                continue  # a discrepancy of no size is none
+            unknown[keys] = free.log_evidence + self.log_prior(len(keys) + 1)
+            if form is not None:
+                # As probable as that the equations are exact.
+                both = np.logaddexp(exact[keys], form.log_evidence + self.log_prior(len(keys)))
+                named[keys] = float(both) - log(2)
+        top = max([*named.values(), *unknown.values()])
+        weights = {k: np.exp(v - top) for k, v in named.items()}
+        of_unknown = {k: np.exp(v - top) for k, v in unknown.items()}
+        total = sum(weights.values()) + sum(of_unknown.values())
+        rows = [
+            SetProbability(k, float(w / total), named[k] - self.log_prior(len(k)))
+            for k, w in weights.items()
+        ]
+        first = max(of_unknown, key=lambda k: of_unknown[k], default=())
+        rows.append(
+            SetProbability(
+                None,
+                float(sum(of_unknown.values()) / total),
+                max((d.log_evidence for d in beside.values()), default=-np.inf),
+            )
+        )
+        rows.sort(key=lambda row: -row.probability)
+        chosen = next((r.effects for r in rows if r.effects is not None), ())
+        assert chosen is not None
+        shown = first if rows[0].effects is None else chosen
+        return Probabilities(
+            tuple(rows),
+            shown,
+            self.found[shown].values,
+            self.found[shown].weights.estimate.rms,
+            self.evaluator.band.scale,
+            beside.get(shown),
+            first,
+            float(max(0.0, max(unknown.values(), default=-np.inf) - max(named.values()))),
+            dict(self.candidates),
+            dict(self.failures),
+        )
+
+    def _beside(
+        self, discrepancies: Discrepancy, keys: tuple[str, ...]
+    ) -> tuple[Discrepant, Discrepant | None] | None:
+        """A set with any discrepancy, and with one that its equations' error explains."""
+        found = self.found[keys]
+        try:
+            free = discrepancies.beside(found)
+            if not keys:
+                return free, None
+            return free, discrepancies.beside(found, _FORM * found.effect)
+        except (ValueError, np.linalg.LinAlgError) as error:
+            self.failures[f"{'+'.join(keys)} and a discrepancy"] = str(error)
+            return None
