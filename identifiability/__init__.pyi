@@ -27,7 +27,7 @@ from .investigation.fits.kept import OnDisk
 from .investigation.investigate import investigate
 from .investigation.next_experiment import Design, Limits, NextExperiment
 from .investigation.posterior.discrepancy import Discrepant
-from .investigation.posterior.probabilities import SetProbability
+from .investigation.posterior.probabilities import Probabilities, SetProbability
 from .investigation.record import investigation_record
 from .investigation.rules import Rules
 from .investigation.search.found import Found, Missing, Ranking
@@ -200,6 +200,7 @@ __all__ = [  # noqa: RUF022 -- in the order of use
     "MemoryKernel",
     "DelayReadout",
     "Family",
+    "Probabilities",
     "SetProbability",
     "Discrepant",
     "Claim",

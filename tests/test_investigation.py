@@ -588,7 +588,10 @@ def test_the_command_finds_a_hidden_effect(tmp_path, capsys):
     code = main(["investigate", str(folder), *held, "--no-widths", "--out", str(out)])
     assert code == 0
     plain = json.loads((out / "investigation.json").read_text())
-    assert plain["schema"] == 1
+    assert plain["schema"] == 2
+    assert sum(row["probability"] for row in plain["posterior"]) == pytest.approx(1.0)
+    assert set(plain["discrepancy"]) >= {"size", "share", "kind"}
+    assert "search" in plain["timings"]
     assert {"effects", "error_fit", "error_held_out", "noise_floor"} <= set(plain["baseline"])
     assert plain["failures"] == {}
     verdict = plain["verdict"]

@@ -49,7 +49,7 @@ class BlindSpec:
 
     Attributes
     ----------
-    name : str
+    name, tier : str
     kind : {"known", "none", "unknown"}
     keys : tuple of str
         Keys of the hidden effects.
@@ -64,6 +64,7 @@ class BlindSpec:
     """
 
     name: str
+    tier: str
     kind: Kind
     keys: tuple[str, ...]
     imposed: Imposed
@@ -282,6 +283,7 @@ def blind_cases(tier: str, seed: int, n: int) -> list[BlindSpec]:
         out.append(
             BlindSpec(
                 f"{tier}-{i:03d}-{imposed}-{label}",
+                tier,
                 kind,
                 chosen,
                 imposed,

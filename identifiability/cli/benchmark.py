@@ -21,7 +21,9 @@ def add_parser(commands: Any) -> None:
     parser = commands.add_parser(
         "benchmark",
         help="judge the investigation, the widths or the solver where the truth is known",
-        description="coverage: fit K, B and I to simulated recordings with noise of every kind, "
+        description="calibration: simulate joints with hidden effects, torque or angle imposed, in "
+        "any noise, weigh what may be missing, and count whether probabilities are what they say. "
+        "coverage: fit K, B and I to simulated recordings with noise of every kind, "
         "and count how often their intervals hold the truth. solver: integrate every non-linear "
         "effect at many sampling rates, and compare with far finer steps. investigation: simulate "
         "joints with hidden effects by an independent simulator, investigate each, and count what "
@@ -29,7 +31,12 @@ def add_parser(commands: Any) -> None:
         "cases that the record in the folder has, by the same code, are not judged again.",
     )
     parser.add_argument(
-        "what", choices=("investigation", "coverage", "solver"), help="what is judged"
+        "what",
+        choices=("investigation", "calibration", "coverage", "solver"),
+        help="what is judged",
+    )
+    parser.add_argument(
+        "--cases", type=int, default=520, metavar="N", help="calibration: in all, about (520)"
     )
     parser.add_argument(
         "--recordings", type=int, default=500, metavar="N", help="coverage: of each kind (500)"
@@ -55,18 +62,52 @@ def add_parser(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the subcommand."""
-    runs = {"solver": _run_solver, "coverage": _run_coverage, "investigation": _run_investigation}
+    runs = {
+        "solver": _run_solver,
+        "coverage": _run_coverage,
+        "calibration": _run_calibration,
+        "investigation": _run_investigation,
+    }
     return runs[options.what](options)
+
+
+def _run_calibration(options: argparse.Namespace) -> int:
+    check_workers(options)
+    if options.cases < 1:
+        raise InputError(f"found --cases {options.cases}, expected 1 or more")
+    seed = _only_seed(options)
+    from identifiability.benchmark.calibration import measure, record
+    from identifiability.files import output_folder, write_json, write_text
+    from identifiability.report.calibration import calibration_page
+
+    out = output_folder(options.out)
+    cells = out / "calibration.cells"
+    scores, outcomes = measure(options.cases, seed=seed, folder=cells, workers=options.workers)
+    found = record(scores, n=options.cases, seed=seed)
+    write_json(out / "calibration.json", found)
+    write_text(out / "calibration.md", calibration_page(found))
+    for t in found["tiers"]:
+        print(
+            f"{t['tier']}, {t['imposed']} imposed: {t['right']} of {t['n'] - t['weak']} right, "
+            f"{t['wrong']} wrong"
+        )
+    print(f"\nwritten: {out}/calibration.md, calibration.json")
+    return PARTIAL if complain(outcomes, cells) else 0
+
+
+def _only_seed(options: argparse.Namespace) -> int:
+    (seed, *others) = options.seed
+    check_seed(seed)
+    if others:
+        raise InputError(f"found several seeds for {options.what}, expected one")
+    return int(seed)
 
 
 def _run_coverage(options: argparse.Namespace) -> int:
     check_workers(options)
     if options.recordings < 2:
         raise InputError(f"found --recordings {options.recordings}, expected 2 or more")
-    (seed, *others) = options.seed
-    check_seed(seed)
-    if others:
-        raise InputError("found several seeds for coverage, expected one")
+    seed = _only_seed(options)
     from identifiability.benchmark.coverage import measure, record
     from identifiability.files import output_folder, write_json, write_text
     from identifiability.report.coverage import coverage_page

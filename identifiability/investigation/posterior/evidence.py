@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 import scipy.special
@@ -38,27 +39,49 @@ _LEAST_EIGENVALUE = 1e-12
 _PLAIN = ((0, 0), (1, 0), (1, 1))  # orders that the noise of a better model may fall to
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Prior:
     """Prior of one free parameter, in the coordinate in which the evidence is taken.
 
     Attributes
     ----------
-    turn : float
-        Derivative of the parameter with respect to the coordinate, at the parameter's value.
-    sd : float
-        Of a normal one the standard deviation; of a uniform one that of a normal one of its height,
-        so that it integrates to 1 where the data say nothing.
-    log_density : float
-        At the value.
-    distance : float
-        Of the coordinate from where the effect vanishes; 0 for what does not make an effect vanish.
+    form : {"uniform", "ratio", "size", "compliance"}
+        Uniform in the parameter or in its logarithm; or normal in its distance from where the
+        effect vanishes, which of a stiffness is its compliance.
+    width : float
+        Of a uniform one the range, of a normal one the standard deviation.
+    null : float
+        Value at which the effect vanishes.
+    one_sided : bool
+        Whether a normal one has only one side.
     """
 
-    turn: float
-    sd: float
-    log_density: float
-    distance: float
+    form: Literal["uniform", "ratio", "size", "compliance"]
+    width: float
+    null: float = 0.0
+    one_sided: bool = False
+
+    @property
+    def sd(self) -> float:
+        """Standard deviation of a normal density of the same height: it too integrates to 1."""
+        return self.width / np.sqrt(2 * np.pi) if self.form in ("uniform", "ratio") else self.width
+
+    def turn(self, value: float) -> float:
+        """Derivative of the parameter with respect to the coordinate."""
+        return {"ratio": value, "compliance": -(value**2)}.get(self.form, 1.0)
+
+    def distance(self, value: float) -> float:
+        """Of the coordinate from where the effect vanishes; 0 for what makes none vanish."""
+        if self.form == "compliance":
+            return 1 / value
+        return value - self.null if self.form == "size" else 0.0
+
+    def log_density(self, value: float) -> float:
+        """Logarithm of the density by the coordinate."""
+        if self.form in ("uniform", "ratio"):
+            return -float(np.log(self.width))
+        normal = -0.5 * (self.distance(value) / self.width) ** 2
+        return float(normal - np.log(self.width * np.sqrt(2 * np.pi) / (1 + self.one_sided)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -182,14 +205,11 @@ class Evaluator:
         white, probe = weighed.whitened(x)
         residual, jacobian = white[:, 0], white[:, 1:]
         information, gradient = jacobian.T @ jacobian, jacobian.T @ residual
-        squares = float(residual @ residual)
-        if probe is not None:
+        if probe is not None and probe[:, 0] @ probe[:, 0] < weighed.most_taken:
             information = information - probe[:, 1:].T @ probe[:, 1:]
             gradient = gradient - probe[:, 1:].T @ probe[:, 0]
-            squares += weights.excess - float(probe[:, 0] @ probe[:, 0])
-        derivatives = np.concatenate(raw)[:, 1:]
-        priors = self._priors(problem, x, np.sqrt(np.mean(derivatives**2, axis=0)))
-        turn = np.array([p.turn for p in priors])
+        priors = self.priors(problem, x)
+        turn = np.array([p.turn(value) for p, value in zip(priors, x, strict=True)])
         information, gradient = information * np.outer(turn, turn), gradient * turn
         precision = information + np.diag([p.sd**-2 for p in priors])
         at_lower, at_upper = touching(x, problem.lower, problem.upper)
@@ -198,12 +218,13 @@ class Evaluator:
         order = weights.n_parameters
         n = self.band.n_samples
         log_evidence = (
-            sum(p.log_density for p in priors)
+            sum(p.log_density(value) for p, value in zip(priors, x, strict=True))
             + volume
-            - 0.5 * (squares + weights.log_determinant)
+            - 0.5 * (weighed.squares(x) + weights.log_determinant)
             - order * n / max(1, n - order - 2)
         )
-        effect = derivatives @ (turn * [p.distance for p in priors])
+        distance = [p.distance(value) for p, value in zip(priors, x, strict=True)]
+        effect = np.concatenate(raw)[:, 1:] @ (turn * distance)
         directions = jacobian[:, inside] * turn[inside]
         own = directions.T @ directions + np.diag([priors[i].sd ** -2 for i in inside])
         return Evaluated(
@@ -222,8 +243,10 @@ class Evaluator:
             raw,
         )
 
-    def _priors(self, problem: Problem, x: np.ndarray, sizes: np.ndarray) -> list[Prior]:
-        """Priors of the free parameters, given what a unit of each adds to the response."""
+    def priors(self, problem: Problem, x: np.ndarray) -> list[Prior]:
+        """Priors of the free parameters, by what a unit of each adds to the response at a point."""
+        raw, _ = raw_residuals(problem, self.band, x)
+        sizes = np.sqrt(np.mean(np.concatenate(raw)[:, 1:] ** 2, axis=0))
         out = []
         for name, value, low, high, size in zip(
             problem.names, x, problem.lower, problem.upper, sizes, strict=True
@@ -231,24 +254,18 @@ class Evaluator:
             null = problem.model.parameters[name].null
             if name in ("K", "B", "I"):
                 width = float(self.joint_widths[("K", "B", "I").index(name)])
-                out.append(_uniform(1.0, width))
-                continue
-            if null is None:
-                by_ratio = low > 0 and high > _DECADE * low
-                width = float(np.log(high / low) if by_ratio else high - low)
-                out.append(_uniform(value if by_ratio else 1.0, width))
-                continue
-            endless = not np.isfinite(null)
-            turn, distance = (-(value**2), 1 / value) if endless else (1.0, value - null)
-            width = float(self.band.scale / max(size * abs(turn), 1e-300))
-            one_sided = np.log(2) if endless or null in (low, high) else 0.0
-            normal = -0.5 * (distance / width) ** 2 - np.log(width * np.sqrt(2 * np.pi))
-            out.append(Prior(turn, width, float(normal + one_sided), distance))
+                out.append(Prior("uniform", width))
+            elif null is None and low > 0 and high > _DECADE * low:
+                out.append(Prior("ratio", float(np.log(high / low))))
+            elif null is None:
+                out.append(Prior("uniform", float(high - low)))
+            elif np.isfinite(null):
+                width = self.band.scale / max(float(size), 1e-300)
+                out.append(Prior("size", width, null, null in (low, high)))
+            else:
+                width = self.band.scale / max(float(size * value**2), 1e-300)
+                out.append(Prior("compliance", width, one_sided=True))
         return out
-
-
-def _uniform(turn: float, width: float) -> Prior:
-    return Prior(turn, width / np.sqrt(2 * np.pi), -float(np.log(width)), 0.0)
 
 
 def evaluator_of(band: Band, values: Mapping[str, float], *, seed: int = 1) -> Evaluator:

@@ -33,6 +33,9 @@ from identifiability.investigation.posterior.band import Band
 from identifiability.joint.model import Model
 
 _CEILING = 6.0  # of what probes take off, so that the rest of the sum of squares stays positive
+# What is taken off a model with effects, over what is taken off K, B and I, at most: one that
+# resonates would amplify the probes where by chance the noise itself is weak.
+_MOST_TAKEN = 1.1
 _HUGE = 1e30  # stands for a response without bound
 _PROBE = 1e-4  # size over the angle's: small, so that no model is moved out of its linear range
 _NO_EXCESS = 1e-6  # sum of squares that is none
@@ -151,6 +154,21 @@ class Weighed:
             return white, None
         return white, self.weights.gain * self.weights.whitened(probes)
 
+    def squares(self, x: np.ndarray) -> float:
+        """Sum of squared whitened residuals, as it is expected without noise of the angle."""
+        white, probe = self.whitened(x)
+        total = float(white[:, 0] @ white[:, 0])
+        if probe is None:
+            return total
+        share = float(probe[:, 0] @ probe[:, 0])
+        return total + self.weights.excess - min(share, self.most_taken)
+
+    @property
+    def most_taken(self) -> float:
+        """Most that is taken off the sum of squares for noise of the angle."""
+        excess = max(self.weights.excess, _NO_EXCESS)
+        return (_MOST_TAKEN if self.model.effects else 0.9 * _CEILING) * excess
+
     def residuals(self, x: np.ndarray) -> np.ndarray:
         """Whitened residuals; with probes one more, less the larger the noise's share is."""
         return self._both(x)[0]
@@ -167,9 +185,10 @@ class Weighed:
             if probe is not None:
                 ceiling = _CEILING * max(self.weights.excess, _NO_EXCESS)
                 share = float(probe[:, 0] @ probe[:, 0])
-                rest = np.sqrt(max(ceiling - share, 1e-3 * ceiling))
+                rest = np.sqrt(ceiling - min(share, self.most_taken))
+                slope = -(probe[:, 1:].T @ probe[:, 0]) / rest
                 residuals = np.append(residuals, rest)
-                jacobian = np.vstack([jacobian, -(probe[:, 1:].T @ probe[:, 0]) / rest])
+                jacobian = np.vstack([jacobian, slope * (share < self.most_taken)])
             last.x, last.both = x.copy(), (residuals, jacobian)
         found: tuple[np.ndarray, np.ndarray] = last.both
         return found

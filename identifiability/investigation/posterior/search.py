@@ -51,8 +51,7 @@ def weigh(ranker: Ranker, evaluator: Evaluator, baseline: Candidate, most: int) 
         if posterior.none_of_these <= _ENOUGH or behind > _NEARER * before:
             break
         frontier = search.frontier(frontier)
-    assert posterior is not None
-    return posterior
+    return search.weighing.posterior() if posterior is None else posterior
 
 
 @dataclass(frozen=True, eq=False)

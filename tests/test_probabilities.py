@@ -1,0 +1,330 @@
+"""Probabilities of effect sets: evidence, noise of an imposed angle, something unknown, claims."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import integrate, stats
+
+from identifiability.benchmark.anatomy import Anatomy
+from identifiability.benchmark.blind import blind_cases
+from identifiability.benchmark.effects import (
+    CoulombFriction,
+    MaxwellBranch,
+    SeriesTendon,
+    StretchReflex,
+)
+from identifiability.benchmark.joints import Joint
+from identifiability.benchmark.motion import Motion, reaction
+from identifiability.benchmark.unknowns import TimeVaryingStiffness
+from identifiability.investigation.posterior.band import Band, band_of
+from identifiability.investigation.posterior.discrepancy import discrepancy_of
+from identifiability.investigation.posterior.evidence import _log_volume, evaluator_of
+from identifiability.investigation.posterior.noises import Weighed
+from identifiability.investigation.posterior.probabilities import Probabilities, SetProbability
+from identifiability.investigation.session import Investigation
+from identifiability.investigation.verdict.by_probability import claim_of
+from identifiability.joint.effects import EFFECTS
+from identifiability.joint.model import KBI
+from identifiability.joint.response import simulate
+from identifiability.measurement.perturbations import imposed_motion
+from identifiability.measurement.prepared import prepare_whole_band
+from identifiability.measurement.splitting import hold_out
+from identifiability.measurement.trials import Trial
+
+ANATOMY = Anatomy(0.08, 6.0, 0.2, 20.0, 0.8)
+START = {"K": 20.0, "B": 1.0, "I": 0.07}
+
+
+def motions(n, seed, rate=250, seconds=0.8, pace=70.0):
+    """Times and smooth random movements."""
+    random = np.random.default_rng(seed)
+    time = np.arange(round(seconds * rate)) / rate
+    for _ in range(n):
+        onsets = 0.1 + np.cumsum(random.uniform(0.1, 0.25, 4))
+        onsets = onsets[onsets < seconds - 0.1]
+        heights = np.diff(random.uniform(-0.15, 0.15, onsets.size), prepend=0.0)
+        yield time, Motion(onsets, heights, pace)
+
+
+def servo_trials(joint, *, torque_sd=0.0, angle_sd=0.0, seed=1, n=6, **options):
+    """Trials of a joint that a servo moves, recorded with white noise in both channels."""
+    random = np.random.default_rng([seed, 1])
+    out = []
+    for i, (time, motion) in enumerate(motions(n, seed, **options)):
+        angle, torque = motion.at(time)[0], reaction(joint, motion, time)
+        torque = torque + torque_sd * random.standard_normal(time.size)
+        angle = angle + angle_sd * random.standard_normal(time.size)
+        out.append(Trial(time, torque, angle, driven="angle", name=f"trial {i}"))
+    return out
+
+
+def evaluator_for(trials):
+    return evaluator_of(band_of(trials, ()), START)
+
+
+# The simulator of an imposed motion
+
+
+def test_a_plain_joint_resists_by_its_inertia_damping_and_stiffness():
+    ((time, motion),) = motions(1, 3)
+    expected = motion.at(time).T @ [ANATOMY.stiffness, ANATOMY.damping, ANATOMY.inertia]
+    assert reaction(Joint(ANATOMY), motion, time) == pytest.approx(expected, abs=1e-12)
+
+
+def test_derivatives_of_a_motion_are_those_of_its_angle():
+    ((_, motion),) = motions(1, 4)
+    time = np.linspace(0.0, 0.7, 7001)
+    angle, velocity, acceleration = motion.at(time)
+    assert np.gradient(angle, time)[1:-1] == pytest.approx(velocity[1:-1], abs=1e-4)
+    assert np.gradient(velocity, time)[1:-1] == pytest.approx(acceleration[1:-1], abs=2e-2)
+
+
+@pytest.mark.parametrize(
+    ("hidden", "model", "values"),
+    [
+        (
+            MaxwellBranch(15.0, 0.04),
+            KBI() + EFFECTS["maxwell_branch"](),
+            {
+                "K": 26.0,
+                "B": 1.0,
+                "I": 0.08,
+                "maxwell_branch.stiffness": 15.0,
+                "maxwell_branch.time_constant": 0.04,
+            },
+        ),
+        (
+            SeriesTendon(60.0),
+            KBI() + EFFECTS["series_tendon"](),
+            {"K": 20.0, "B": 0.8, "I": 0.08, "series_tendon.stiffness": 60.0},
+        ),
+    ],
+)
+def test_the_library_predicts_what_the_simulator_resists(hidden, model, values):
+    anatomy = ANATOMY
+    if hidden.key == "series_tendon":  # the library's has nothing beside the muscle
+        anatomy = replace(ANATOMY, passive_stiffness=0.0, passive_damping=0.0)
+    ((time, motion),) = motions(1, 5, rate=1000)
+    torque = reaction(Joint(anatomy, (hidden,)), motion, time)
+    own = simulate(model, model.vector(values), imposed_motion(time, motion.at(time)[0]))
+    assert np.sqrt(np.mean((own - torque) ** 2)) < 2e-3 * np.std(torque)
+    other = simulate(
+        model, model.vector({**values, "I": 0.085}), imposed_motion(time, motion.at(time)[0])
+    )
+    assert np.sqrt(np.mean((other - torque) ** 2)) > 5e-3 * np.std(torque)
+
+
+def test_friction_holds_what_it_held_before():
+    motion = Motion(np.array([0.1]), np.array([0.1]), 80.0)
+    time = np.arange(800) / 1000
+    friction = CoulombFriction(0.5, 0.5, 0.2, "sign")
+    added = reaction(Joint(ANATOMY, (friction,)), motion, time) - reaction(
+        Joint(ANATOMY), motion, time
+    )
+    assert np.all(added[:95] == 0)
+    assert added[-1] == pytest.approx(0.5)
+
+
+def test_blind_cases_are_drawn_alike_by_alike_seeds():
+    first, again, other = (blind_cases("singles", seed, 4)[1].build() for seed in (5, 5, 6))
+    assert np.array_equal(first.fit[0].torque, again.fit[0].torque)
+    assert first.parameters != other.parameters
+    assert {spec.imposed for spec in blind_cases("nulls", 1, 2)} == {"torque", "angle"}
+
+
+# Evidence
+
+
+def test_the_volume_about_a_mode_is_that_of_quadrature():
+    precision = np.array([[9.0, 3.0], [3.0, 4.0]])
+    inside, _ = _log_volume(precision, np.zeros(2), np.zeros(2, bool))
+    assert inside == pytest.approx(np.log(2 * np.pi / np.sqrt(np.linalg.det(precision))))
+    slope = 1.7  # of the first, at its lower bound 0
+
+    def density(y, x):
+        at = np.array([x, y])
+        return np.exp(-0.5 * at @ precision @ at - slope * x)
+
+    exact, _ = integrate.dblquad(density, 0, 6, -8, 8)
+    found, kept = _log_volume(precision, np.array([slope, 0.0]), np.array([True, False]))
+    assert found == pytest.approx(np.log(exact), abs=1e-4)
+    assert list(kept) == [1]
+
+
+@pytest.mark.parametrize(
+    ("key", "hidden"),
+    [
+        ("maxwell_branch", MaxwellBranch(15.0, 0.04)),
+        ("cubic_stiffness", MaxwellBranch(15.0, 0.04)),
+        ("coulomb_friction", CoulombFriction(0.5, 0.5, 0.2, "sign")),
+        ("stretch_reflex", StretchReflex(15.0, 1.5, 0.035, 0.015, 0.015, "first_order")),
+    ],
+)
+def test_laplace_agrees_with_sampling(key, hidden):
+    """Importance sampling about the mode, by a t distribution, of the same likelihood and prior."""
+    evaluator = evaluator_for(servo_trials(Joint(ANATOMY, (hidden,)), torque_sd=0.1, n=4))
+    model = KBI() + EFFECTS[key]()
+    start = dict(zip(model.parameter_names, model.nominal, strict=True)) | START
+    found = evaluator.evaluate(model, start)
+    problem = evaluator.band.problem(model, scheme=found.scheme, probes=evaluator.reference.probes)
+    weighed = Weighed(problem, evaluator.band, found.weights)
+    priors = evaluator.priors(problem, found.x)
+
+    def log_density(x):
+        if np.any(x < problem.lower) or np.any(x > problem.upper):
+            return -np.inf
+        prior = sum(
+            p.log_density(v) - np.log(abs(p.turn(v))) for p, v in zip(priors, x, strict=True)
+        )
+        return prior - 0.5 * (weighed.squares(x) + found.weights.log_determinant)
+
+    jacobian = weighed.jacobian(found.x)
+    curvature = jacobian.T @ jacobian
+    turn = np.array([p.turn(v) for p, v in zip(priors, found.x, strict=True)])
+    curvature += np.diag([1 / (p.sd * t) ** 2 for p, t in zip(priors, turn, strict=True)])
+    size = 1 / np.sqrt(np.diag(curvature))
+    shape = 1.2 * np.linalg.inv(curvature * np.outer(size, size))
+    proposal = stats.multivariate_t(np.zeros(size.size), shape, df=5, seed=1)
+    draws = proposal.rvs(600)
+    weights = np.array([log_density(found.x + size * z) for z in draws])
+    weights -= proposal.logpdf(draws) - np.sum(np.log(size))
+    ratios = np.exp(weights - weights.max())
+    sampled = weights.max() + np.log(ratios.mean())
+    error = ratios.std() / ratios.mean() / np.sqrt(ratios.size)
+    order = found.weights.n_parameters
+    n = evaluator.band.n_samples
+    taken = found.log_evidence + order * n / (n - order - 2)
+    assert error < 0.3
+    assert abs(sampled - taken) < 1 + 3 * error
+
+
+# Noise of an imposed angle
+
+
+def whole_band(trials):
+    """A likelihood of all that was recorded, which takes nothing off for noise of the angle."""
+    fitted = hold_out(prepare_whole_band(trials), 0).fitted
+    evaluator = evaluator_of(Band(fitted, 1, {}), START)
+    reference = replace(evaluator.reference, probes=[], probe_problem=None)
+    start = replace(evaluator.start, gain=0.0, excess=0.0)
+    return replace(evaluator, reference=reference, start=start)
+
+
+@pytest.mark.parametrize("key", ["sensor_lowpass", "second_mass"])
+def test_noise_of_an_imposed_angle_does_not_pass_for_an_effect(key):
+    """A filter makes the noise smaller, a resonance adds what it happens to look like."""
+    model = KBI() + EFFECTS[key]()
+    start = dict(zip(model.parameter_names, model.nominal, strict=True))
+    own, uncorrected = [], []
+    for seed in range(3):
+        trials = servo_trials(
+            Joint(ANATOMY), torque_sd=0.1, angle_sd=3e-4, seed=seed, n=8, rate=200, pace=60.0
+        )
+        for evaluator, out in ((evaluator_for(trials), own), (whole_band(trials), uncorrected)):
+            plain = evaluator.evaluate(KBI(), START)
+            other = evaluator.evaluate(model, start | plain.values)
+            out.append(other.log_evidence - plain.log_evidence)
+    assert max(own) < 3
+    assert min(uncorrected) > 10
+
+
+# Something unknown
+
+
+def probabilities_with(joint, **noise):
+    """What the discrepancy beside K, B and I adds to their evidence, and its kind."""
+    evaluator = evaluator_for(servo_trials(joint, **noise))
+    plain = evaluator.evaluate(KBI(), START)
+    beside = discrepancy_of(evaluator, plain).beside(plain)
+    return beside.log_evidence - plain.log_evidence, beside
+
+
+def test_a_torque_that_nothing_names_is_found_and_noise_is_not():
+    gain, beside = probabilities_with(Joint(ANATOMY), torque_sd=0.05)
+    assert gain < 1
+    assert beside.size < 0.01
+    swing = Joint(ANATOMY, (TimeVaryingStiffness(8.0, 3.0),))
+    gain, beside = probabilities_with(swing, torque_sd=0.05)
+    assert gain > 20
+    assert beside.kind == "varying"
+
+
+# Claims
+
+
+def probabilities(*rows):
+    """Rows of (effects, probability) as probabilities."""
+    ranked = tuple(SetProbability(e, p, 0.0) for e, p in sorted(rows, key=lambda r: -r[1]))
+    return Probabilities(ranked, (), {}, 1.0, 1.0, None, (), 0.0, {})
+
+
+@pytest.mark.parametrize(
+    ("rows", "kind", "sets"),
+    [
+        ([((), 0.97), (("gravity",), 0.03)], "nothing", ()),
+        ([(("gravity",), 0.94), ((), 0.06)], "nothing", ()),
+        ([(("gravity",), 0.96), ((), 0.04)], "effects", (("gravity",),)),
+        ([(("gravity",), 0.94), (None, 0.06)], "unknown", ()),
+        ([(None, 1.0)], "unknown", ()),
+        (
+            [(("gravity",), 0.6), (("cubic_stiffness",), 0.37), ((), 0.03)],
+            "effects",
+            (("gravity", "cubic_stiffness"),),
+        ),
+        # One effect is sure, whether there is a second is not.
+        (
+            [(("gravity",), 0.6), (("gravity", "second_mass"), 0.4)],
+            "effects",
+            (("gravity",),),
+        ),
+        # Of two one is sure; what the other is, is one of two.
+        (
+            [
+                (("gravity", "second_mass"), 0.7),
+                (("coulomb_friction", "second_mass"), 0.27),
+                ((), 0.03),
+            ],
+            "effects",
+            (("gravity", "coulomb_friction"), ("second_mass",)),
+        ),
+        (
+            [(("gravity", "second_mass"), 0.6), (("coulomb_friction", "sensor_delay"), 0.4)],
+            "undecided",
+            (),
+        ),
+        # Effects of one form are named together.
+        ([(("series_tendon",), 1.0)], "effects", (("series_tendon", "maxwell_branch"),)),
+    ],
+)
+def test_no_more_is_named_than_is_probable(rows, kind, sets):
+    found = claim_of(probabilities(*rows), EFFECTS, 0.95)
+    assert (found.kind, found.sets) == (kind, sets)
+    if kind == "effects":
+        assert found.probability >= 0.95
+
+
+def test_effects_that_are_claimed_each_need_one_of_their_own():
+    found = probabilities((("gravity", "second_mass"), 0.5), (("gravity",), 0.5))
+    assert found.claim([["gravity"]]) == pytest.approx(1.0)
+    assert found.claim([["gravity"], ["gravity", "second_mass"]]) == pytest.approx(0.5)
+    assert found.claim([["coulomb_friction"]]) == 0.0
+
+
+# The whole way
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    ("hidden", "expected"),
+    [((), "nothing"), ((MaxwellBranch(15.0, 0.04),), "effects")],
+)
+def test_a_servo_with_a_noisy_angle(hidden, expected):
+    trials = servo_trials(Joint(ANATOMY, hidden), torque_sd=0.05, angle_sd=1e-4, n=8)
+    study = Investigation(trials)
+    found = study.weigh()
+    assert sum(row.probability for row in found.rows) == pytest.approx(1.0)
+    claim = study.claim(found)
+    assert claim.kind == expected
+    if hidden:
+        assert "maxwell_branch" in claim.sets[0]
