@@ -25,7 +25,8 @@ from identifiability.investigation.posterior.evidence import Evaluated, Evaluato
 
 _FORM = 0.1  # share of what its effects do, that a model's equations may be wrong by
 _CONTENDS = 12.0  # nats that a set may be behind, for a discrepancy to be put beside it
-_MOST_BESIDE = 6
+_MOST_BESIDE, _BEST_OF_SIZE = 6, 2
+_SAME = 0.5  # nats by which two discrepancies of one size may differ
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,9 +199,10 @@ class Weighing:
         exact = {k: f.log_evidence + self.log_prior(len(k)) for k, f in self.found.items()}
         named, unknown, beside = dict(exact), dict[tuple[str, ...], float](), {}
         near = [k for k in ranked if exact[k] > exact[ranked[0]] - _CONTENDS][:_MOST_BESIDE]
-        for keys in dict.fromkeys([*near, *ranked[:2], ()]):
-            if keys not in self.found:
-                continue
+        # The best of every size too: inexact equations may make up for an effect more.
+        for n in sorted({len(keys) for keys in ranked}):
+            near += [keys for keys in ranked if len(keys) == n][:_BEST_OF_SIZE]
+        for keys in dict.fromkeys(near):
             one = self._beside(discrepancies, keys)
             if one is None:
                 continue
@@ -208,7 +210,9 @@ class Weighing:
             beside[keys] = free
             if free.kind == "none":
                 continue  # a discrepancy of no size is none
-            unknown[keys] = free.log_evidence + self.log_prior(len(keys) + 1)
+            # One that the equations' error explains is not something unknown besides.
+            if form is None or form.log_evidence < free.log_evidence - _SAME:
+                unknown[keys] = free.log_evidence + self.log_prior(len(keys) + 1)
             if form is not None:
                 # As probable as that the equations are exact.
                 both = np.logaddexp(exact[keys], form.log_evidence + self.log_prior(len(keys)))
