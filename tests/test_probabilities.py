@@ -11,8 +11,8 @@ from identifiability.benchmark.blind import blind_cases
 from identifiability.benchmark.effects import (
     CoulombFriction,
     MaxwellBranch,
+    SensorDelay,
     SeriesTendon,
-    StretchReflex,
 )
 from identifiability.benchmark.joints import Joint
 from identifiability.benchmark.motion import Motion, reaction
@@ -23,7 +23,11 @@ from identifiability.investigation.posterior.evidence import _log_volume, evalua
 from identifiability.investigation.posterior.noises import Weighed
 from identifiability.investigation.posterior.probabilities import Probabilities, SetProbability
 from identifiability.investigation.session import Investigation
-from identifiability.investigation.verdict.by_probability import claim_of
+from identifiability.investigation.verdict.by_probability import by_probability, claim_of
+from identifiability.investigation.verdict.judge import Verdict
+from identifiability.investigation.verdict.reasons import Reason
+from identifiability.investigation.wording.describe import describe
+from identifiability.investigation.wording.verdict import _reason
 from identifiability.joint.effects import EFFECTS
 from identifiability.joint.model import KBI
 from identifiability.joint.response import simulate
@@ -157,8 +161,8 @@ def test_the_volume_about_a_mode_is_that_of_quadrature():
     [
         ("maxwell_branch", MaxwellBranch(15.0, 0.04)),
         ("cubic_stiffness", MaxwellBranch(15.0, 0.04)),
-        ("coulomb_friction", CoulombFriction(0.5, 0.5, 0.2, "sign")),
-        ("stretch_reflex", StretchReflex(15.0, 1.5, 0.035, 0.015, 0.015, "first_order")),
+        ("quadratic_stiffness", MaxwellBranch(15.0, 0.04)),
+        ("sensor_delay", SensorDelay(0.006)),
     ],
 )
 def test_laplace_agrees_with_sampling(key, hidden):
@@ -309,6 +313,46 @@ def test_effects_that_are_claimed_each_need_one_of_their_own():
     assert found.claim([["gravity"]]) == pytest.approx(1.0)
     assert found.claim([["gravity"], ["gravity", "second_mass"]]) == pytest.approx(0.5)
     assert found.claim([["coulomb_friction"]]) == 0.0
+
+
+def test_probabilities_in_words():
+    found = probabilities((("gravity",), 0.9), ((), 0.07), (None, 0.029), (("second_mass",), 1e-3))
+    assert describe(found) == (
+        "That gravity is missing has a probability of 90 %.",
+        "That nothing is missing has a probability of 7 %.",
+        "That something unknown is missing has a probability of 3 %.",
+    )
+
+
+@pytest.mark.parametrize(
+    ("rows", "kind", "said"),
+    [
+        (
+            [(("gravity",), 0.97), ((), 0.03)],
+            "explained",
+            "The probability of this is 97 %; that nothing is missing, 3 %",
+        ),
+        (
+            [(("gravity",), 0.6), ((), 0.4)],
+            "nothing_missing",
+            "Probabilities: nothing is missing, 40 %; gravity, 60 %; something unknown, ",
+        ),
+        (
+            [(("gravity",), 0.6), (None, 0.4)],
+            "unknown_static",
+            "Probabilities: nothing is missing, less than 0.1 %; gravity, 60 %; something ",
+        ),
+    ],
+)
+def test_a_verdict_names_no_more_than_is_probable(rows, kind, said):
+    found = probabilities(*rows)
+    claim = claim_of(found, EFFECTS, 0.95)
+    before = Verdict("explained", (("gravity",),), (Reason("only a part"),))
+    verdict = by_probability(before, claim, found, (), EFFECTS)
+    assert verdict.kind == kind
+    assert bool(verdict.sets) == (kind == "explained")
+    assert [r.kind for r in verdict.reasons] != ["only a part"]
+    assert _reason(verdict.reasons[0], None).startswith(said)
 
 
 # The whole way

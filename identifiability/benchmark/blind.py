@@ -39,6 +39,7 @@ _FIT, _HELD_OUT = 8, 3  # short trials
 _LEAD = 0.1  # seconds at rest
 _SIZES = (0.1, 3.0)  # of the joint, as a factor of the torques of those that `draw_joint` draws
 _QUICK_RTOL = 1e-6
+_STRIDE = 7  # shares no factor with the numbers of kinds
 
 TIERS = ("singles", "pairs", "unknown", "nulls")
 
@@ -275,7 +276,8 @@ def blind_cases(tier: str, seed: int, n: int) -> list[BlindSpec]:
     random = np.random.default_rng([seed, TIERS.index(tier)])
     out = []
     for i in range(n):
-        chosen = keys[(i // 2) % len(keys)]
+        # Few cases are of many kinds, and twice as many as there are kinds are all of them.
+        chosen = keys[(_STRIDE * (i // 2) + seed) % len(keys)]
         noise = NOISES[int(random.integers(len(NOISES)))]
         ratio = float(RATIOS[int(random.integers(len(RATIOS)))])
         imposed: Imposed = "torque" if i % 2 == 0 else "angle"

@@ -25,7 +25,6 @@ from identifiability.measurement.filtering import Lowpass, cutoff
 from identifiability.measurement.noise import Noise
 from identifiability.measurement.perturbations import imposed_motion
 from identifiability.measurement.prepared import Prepared, prepare_whole_band
-from identifiability.measurement.splitting import hold_out
 from identifiability.measurement.trials import Trial
 
 _HALF_BAND = signal.firwin(23, 0.5)
@@ -148,7 +147,8 @@ def band_of(
     Parameters
     ----------
     trials, held_out : sequence of Trial
-        As of the investigation: what is held out is not compared here.
+        As of the investigation. All are compared: what a set of effects says of a condition in
+        which others fail is what tells them apart.
     lowpass_hz : float, "auto" or None
         Where the angle is imposed, the frequency [Hz] above which it is noise: see `cutoff`.
     bounds : mapping of str to (float, float), optional
@@ -163,7 +163,7 @@ def band_of(
         Where the trials are not sampled alike.
     """
     every = [*trials, *held_out]
-    fitted = hold_out(prepare_whole_band(every, lowpass_hz=lowpass_hz), len(held_out)).fitted
+    fitted = prepare_whole_band(every, lowpass_hz=lowpass_hz)
     intervals = [p.interval for p in fitted]
     if max(intervals) > (1 + _SAME_RATE) * min(intervals):
         raise InputError(

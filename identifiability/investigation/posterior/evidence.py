@@ -17,6 +17,7 @@ from typing import Literal
 import numpy as np
 import scipy.special
 
+from identifiability.errors import InputError
 from identifiability.inference.bounds import touching
 from identifiability.inference.fitting import explore
 from identifiability.inference.likelihood.estimate import Contender, Order, contenders
@@ -164,8 +165,18 @@ class Evaluator:
         *,
         refined: Sequence[str] = (),
         scheme: Scheme | None = None,
+        least: float = -np.inf,
     ) -> Evaluated:
         """Fit a model and its noise in turn, from given values, and take its evidence.
+
+        Parameters
+        ----------
+        model : Model
+        values : mapping of str to float
+        refined : sequence of str
+        scheme : Scheme, optional
+        least : float
+            Log evidence below which a model is not fitted any further.
 
         Raises
         ------
@@ -185,6 +196,8 @@ class Evaluator:
             found = self.evaluated(problem, x, weights, refined)
             if best is None or found.log_evidence > best.log_evidence:
                 best = found
+            if found.log_evidence < least:
+                break
         assert best is not None
         return best
 
@@ -278,6 +291,11 @@ def evaluator_of(band: Band, values: Mapping[str, float], *, seed: int = 1) -> E
         K, B and I to start from.
     seed : int
         Of the probes.
+
+    Raises
+    ------
+    InputError
+        Where noise of an imposed angle leaves no inertia to be seen.
     """
     angle = band.angle_imposed
     every = contenders(carried=(True,) if angle else (False, True))
@@ -296,6 +314,12 @@ def evaluator_of(band: Band, values: Mapping[str, float], *, seed: int = 1) -> E
             shortlist = weights.contenders
         if np.max(np.abs(x - before) / np.maximum(np.abs(x), 1e-300)) < _SETTLED:
             break
+    if angle and touching(x, problem.lower, problem.upper)[0][2]:
+        raise InputError(
+            f"found an inertia at its lower bound, {problem.lower[2]:g} kg m², once the noise's "
+            "colour counts: the angle is too coarse for its acceleration; record it finer, or "
+            "impose the torque"
+        )
     derivatives = np.concatenate(raw)[:, 1:]
     sizes = np.sqrt(np.mean(derivatives**2, axis=0))
     widths = _JOINT_RANGE * band.scale / np.maximum(sizes, 1e-300)

@@ -26,6 +26,7 @@ from identifiability.investigation.posterior.evidence import Evaluated, Evaluato
 _FORM = 0.1  # share of what its effects do, that a model's equations may be wrong by
 _CONTENDS = 12.0  # nats that a set may be behind, for a discrepancy to be put beside it
 _MOST_BESIDE, _BEST_OF_SIZE = 6, 2
+_LOST = 60.0  # nats behind the best from which a set is not fitted any further
 _SAME = 0.5  # nats by which two discrepancies of one size may differ
 
 
@@ -172,6 +173,7 @@ class Weighing:
                 candidate.values,
                 refined=candidate.refined,
                 scheme=candidate.scheme,
+                least=max((f.log_evidence for f in self.found.values()), default=-np.inf) - _LOST,
             )
         except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
             self.failures["+".join(keys)] = str(error)

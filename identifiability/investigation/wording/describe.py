@@ -7,13 +7,18 @@ from functools import singledispatch
 from identifiability.errors import InputError
 from identifiability.investigation.findings import Findings
 from identifiability.investigation.next_experiment import NextExperiment
+from identifiability.investigation.posterior.probabilities import Probabilities
 from identifiability.investigation.unexplained.account import Unexplained
 from identifiability.investigation.where.compare import Comparison
 from identifiability.investigation.where.locate import Location
 from identifiability.investigation.wording.comparison import comparison_sentences
 from identifiability.investigation.wording.next_experiment import next_experiment_sentence
 from identifiability.investigation.wording.unexplained import unexplained_sentence
-from identifiability.investigation.wording.verdict import because, verdict_sentence
+from identifiability.investigation.wording.verdict import (
+    because,
+    probability_sentences,
+    verdict_sentence,
+)
 
 
 @singledispatch
@@ -22,13 +27,13 @@ def describe(result: object) -> tuple[str, ...]:
 
     Parameters
     ----------
-    result : Comparison, Location, Unexplained, NextExperiment or Findings
+    result : Comparison, Location, Unexplained, Probabilities, NextExperiment or Findings
 
     Returns
     -------
     tuple of str
         One sentence an aspect of a comparison or a view of a location; one on what is left or on
-        the next experiment; of findings the verdict and then its reasons.
+        the next experiment; one a set of effects; of findings the verdict and then its reasons.
 
     Raises
     ------
@@ -42,13 +47,19 @@ def describe(result: object) -> tuple[str, ...]:
     """
     raise InputError(
         f"found {type(result).__name__}, expected what an investigation found: Findings, or a "
-        "Comparison, Location, Unexplained or NextExperiment, such as study.compare(candidate)"
+        "Comparison, Location, Unexplained, Probabilities or NextExperiment, such as "
+        "study.compare(candidate)"
     )
 
 
 @describe.register
 def _(result: Comparison) -> tuple[str, ...]:
     return comparison_sentences(result)
+
+
+@describe.register
+def _(result: Probabilities) -> tuple[str, ...]:
+    return probability_sentences(result)
 
 
 @describe.register

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from identifiability.investigation.findings import Findings
+from identifiability.investigation.posterior.probabilities import Probabilities
 from identifiability.investigation.verdict.reasons import Reason
 from identifiability.investigation.wording.unexplained import unexplained_sentence
 from identifiability.joint.effects import Effect
@@ -105,6 +106,23 @@ def set_in_words(effects: Sequence[str] | None) -> str:
     if effects is None:
         return "something unknown"
     return likely_set("+".join(effects)) if effects else "nothing"
+
+
+def probability_sentences(found: Probabilities, least: float = 0.005) -> tuple[str, ...]:
+    """What may be missing, a sentence each, the most probable first.
+
+    Parameters
+    ----------
+    found : Probabilities
+    least : float
+        Probability from which a set is named.
+    """
+    rows = [row for row in found.rows if row.probability >= least] or found.rows[:1]
+    return tuple(
+        f"That {set_in_words(row.effects)} is missing has a probability of "
+        f"{percent(row.probability)}."
+        for row in rows
+    )
 
 
 def percent(probability: float) -> str:

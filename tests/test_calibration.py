@@ -1,0 +1,92 @@
+"""The published calibration of probabilities: page and README say what the record says."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from identifiability.benchmark import calibration
+from identifiability.benchmark.blind import TIERS, blind_cases
+from identifiability.benchmark.calibration import BlindScore, outcome_of, score_from, share
+from identifiability.cli.main import main
+from identifiability.report.calibration import calibration_page
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture(scope="module")
+def record():
+    return json.loads((ROOT / "results" / "calibration.json").read_text(encoding="utf-8"))
+
+
+def test_the_page_is_that_of_the_record(record):
+    page = (ROOT / "results" / "calibration.md").read_text(encoding="utf-8")
+    assert page == calibration_page(record)
+
+
+def test_the_record_counts_its_cases(record):
+    scores = [score_from(plain) for plain in record["scores"]]
+    found = calibration.record(scores, n=record["cases"], seed=record["seed"])
+    for part in ("tiers", "claims", "reliability", "scores"):
+        assert json.loads(json.dumps(found[part])) == record[part]
+    expected = {
+        spec.name
+        for tier in TIERS
+        for spec in blind_cases(tier, record["seed"], share(tier, record["cases"]))
+    }
+    assert {s.name for s in scores} == expected
+
+
+def test_the_readme_quotes_the_record(record):
+    readme = " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
+    scores = record["scores"]
+    assert f"seed {record['seed']} that nobody had worked on" in readme
+    claims = record["claims"]
+    assert f"named effects in {claims['n']} of {len(scores)} cases" in readme
+    assert f"{claims['right']} of them rightly" in readme
+    for tier in ("nulls", "unknown", "singles", "pairs"):
+        mine = [s for s in scores if s["tier"] == tier]
+        right = sum(s["outcome"] == "right" for s in mine)
+        assert f"{right} of {len(mine)} {tier}" in readme
+
+
+@pytest.mark.parametrize(
+    ("truth", "claim", "sets", "expected"),
+    [
+        ((), "nothing", (), "right"),
+        ((), "unknown", (), "wrong"),
+        ((), "effects", (("gravity",),), "wrong"),
+        (None, "unknown", (), "right"),
+        (None, "nothing", (), "abstained"),
+        (None, "effects", (("gravity",),), "wrong"),
+        (("gravity",), "effects", (("cubic_stiffness", "gravity"),), "right"),
+        (("gravity",), "effects", (("cubic_stiffness",),), "wrong"),
+        (("gravity",), "unknown", (), "abstained"),
+        (("gravity", "second_mass"), "effects", (("gravity",),), "partly"),
+        (("gravity",), "effects", (("gravity",), ("second_mass",)), "wrong"),
+    ],
+)
+def test_a_claim_is_held_to_every_name(truth, claim, sets, expected):
+    assert outcome_of(truth, claim, sets) == expected
+
+
+def a_score(rows, truth):
+    case = ("case", "singles", "torque", "white", 1e-4, False)
+    return BlindScore(*case, truth, "effects", (), 0.0, rows, "right", 0.0)
+
+
+def test_scores_are_best_for_who_is_sure_and_right():
+    sure = a_score(((("maxwell_branch",), 1.0),), ("series_tendon",))
+    assert (sure.of_truth, sure.brier, sure.log_score) == (1.0, 0.0, 0.0)
+    wrong = a_score(((("gravity",), 1.0),), None)
+    assert wrong.brier == 2.0
+    assert wrong.log_score > 20
+    open_ = a_score((((), 0.5), (None, 0.5)), None)
+    assert open_.brier == pytest.approx(0.5)
+
+
+def test_bad_options_are_one_sentence(capsys, tmp_path):
+    out = str(tmp_path / "out")
+    for options in (["--cases", "0"], ["--seed", "1", "2"]):
+        assert main(["benchmark", "calibration", *options, "--out", out]) == 2
+        assert capsys.readouterr().err.count("\n") == 1
