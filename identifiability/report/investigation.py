@@ -204,6 +204,7 @@ def _probabilities(page: Page, findings: Findings) -> None:
     page.table(
         ("missing", "probability"),
         [(words.set_in_words(row.effects), words.percent(row.probability)) for row in shown],
+        text_columns=(0,),
     )
     rest = posterior.discrepancy
     if rest is not None and rest.kind != "none":
@@ -224,9 +225,14 @@ def _which(page: Page, figures: _Figures, findings: Findings) -> None:
             lambda ranking=ranking: ranking_figure(  # type: ignore[misc]
                 ranking, members.get(ranking.chosen, ())
             ),
-            f"Step {number}: every effect added to the model and fitted anew. Evidence above "
-            f"{ranking.decisive:.0f} is decisive; an effect is admitted if the held-out trials "
-            "agree.",
+            f"Step {number}: every effect added to the model and fitted anew by least squares. "
+            + (
+                "The evidence, an information criterion, is for comparison: what is named goes by "
+                "probability."
+                if found.ended == "by probability"
+                else f"Evidence above {ranking.decisive:.0f} is decisive; an effect is admitted if "
+                "the held-out trials agree."
+            ),
         )
         _ranking_table(page, ranking)
         if ranking.screened_out:

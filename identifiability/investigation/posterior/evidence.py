@@ -100,8 +100,6 @@ class Evaluated:
     weights : Weights
     log_evidence : float
         In nats.
-    effect : float
-        Root mean square of what the effects add to the response [rad or Nm], linearised.
     directions : array, shape (n, k)
         Whitened derivatives by the coordinates of the parameters that lie inside their bounds.
     precision : array, shape (k, k)
@@ -120,7 +118,6 @@ class Evaluated:
     x: np.ndarray
     weights: Weights
     log_evidence: float
-    effect: float
     directions: np.ndarray
     precision: np.ndarray
     gradient: np.ndarray
@@ -236,8 +233,6 @@ class Evaluator:
             - 0.5 * (weighed.squares(x) + weights.log_determinant)
             - order * n / max(1, n - order - 2)
         )
-        distance = [p.distance(value) for p, value in zip(priors, x, strict=True)]
-        effect = np.concatenate(raw)[:, 1:] @ (turn * distance)
         directions = jacobian[:, inside] * turn[inside]
         own = directions.T @ directions + np.diag([priors[i].sd ** -2 for i in inside])
         return Evaluated(
@@ -248,7 +243,6 @@ class Evaluator:
             x,
             weights,
             float(log_evidence),
-            float(np.sqrt(np.mean(effect**2))),
             directions,
             own,
             gradient[inside],

@@ -252,6 +252,16 @@ class Weighing:
             dict(self.failures),
         )
 
+    def _explained(self, found: Evaluated) -> float:
+        """What effects explain: root mean square by which the prediction moves because of them.
+
+        From that of K, B and I alone, so that what K, B and I do as well, and effects that cancel
+        each other, do not count.
+        """
+        plain = np.concatenate([raw[:, 0] for raw in self.found[()].raw])
+        moved = plain - np.concatenate([raw[:, 0] for raw in found.raw])
+        return float(np.sqrt(np.mean(moved**2)))
+
     def _beside(
         self, discrepancies: Discrepancy, keys: tuple[str, ...]
     ) -> tuple[Discrepant, Discrepant | None] | None:
@@ -261,7 +271,7 @@ class Weighing:
             free = discrepancies.beside(found)
             if not keys:
                 return free, None
-            return free, discrepancies.beside(found, _FORM * found.effect)
+            return free, discrepancies.beside(found, _FORM * self._explained(found))
         except (ValueError, np.linalg.LinAlgError) as error:
             self.failures[f"{'+'.join(keys)} and a discrepancy"] = str(error)
             return None

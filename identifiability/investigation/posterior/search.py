@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from identifiability.errors import InputError
 from identifiability.investigation.fits.candidate import Candidate
 from identifiability.investigation.posterior.evidence import Evaluator
 from identifiability.investigation.posterior.probabilities import Probabilities, Weighing
@@ -36,9 +37,16 @@ def weigh(ranker: Ranker, evaluator: Evaluator, baseline: Candidate, most: int) 
         The model to start from.
     most : int
         Most effects to add.
+
+    Raises
+    ------
+    InputError
+        Where the model to start from cannot be evaluated.
     """
     search = _Search(ranker, Weighing(evaluator, len(ranker.library)), baseline)
     search.add("K, B and I", [baseline])
+    if () not in search.weighing.found:
+        raise InputError(f"the model to start from has no evidence: {search.weighing.failures['']}")
     frontier: Sequence[Candidate] = [baseline]
     posterior, behind = None, np.inf
     for _ in range(most):

@@ -116,9 +116,12 @@ def by_probability(
         "unknown": posterior.none_of_these,
     }
     names = tuple(dict.fromkeys(name for names in claim.sets for name in names))
-    reasons = tuple(r for r in verdict.reasons if r.kind != "only a part")
-    if verdict.kind == "unknown_memory" and any(r.kind == "description" for r in reasons):
+    reasons = verdict.reasons
+    # What was weighed does not hold every description of no mechanism; and effects that leave much
+    # of the misfit on trials that were not fitted may stand for something else.
+    if claim.kind == "effects" and {"description", "only a part"} & {r.kind for r in reasons}:
         return verdict
+    reasons = tuple(r for r in reasons if r.kind != "only a part")
     if claim.kind == "effects":
         kind: Kind = "one_of"
         if all(library[name].place == "sensor" for name in names):
