@@ -7,7 +7,8 @@ or shift of the recorder. Each kind has one size, of highest evidence. What is n
 trial is noise, of whatever colour.
 
 A model is as exact as its equations. So a model whose effects need a discrepancy of no more than a
-tenth of what they do is still that model; one that needs more is that model and something unknown.
+tenth of what they explain is still that model; one that needs more is that model and something
+unknown.
 """
 
 from __future__ import annotations

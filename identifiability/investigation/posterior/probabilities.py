@@ -3,8 +3,8 @@
 How many effects there are is as probable for every number from none to the most that are tried;
 then every set of so many is, the unknown being one of the effects (Scott & Berger 2010, Ann Stat
 38:2587-2619): trying more effects makes a false name no more likely. A set with a discrepancy of no
-more than a tenth of what its effects do is still that set, whose equations are not exact; with more
-it is "none of these".
+more than a tenth of what its effects explain, beyond what K, B and I do, is still that set, whose
+equations are not exact; with more it is "none of these".
 """
 
 from __future__ import annotations
