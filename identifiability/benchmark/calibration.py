@@ -177,7 +177,9 @@ def measure(
         progress=progress,
     )
     scores = [
-        failed(tasks[name], found.cause) if found.arrays is None else _read(found.arrays)
+        failed(tasks[name], found.cause)
+        if found.arrays is None
+        else score_from(json.loads(str(found.arrays["score"])))
         for name, found in outcomes.items()
     ]
     return scores, list(outcomes.values())
@@ -186,10 +188,6 @@ def measure(
 def share(tier: str, n: int) -> int:
     """Number of a tier's cases among so many: even, so that both causalities have as many."""
     return 2 * max(1, round(0.5 * n * PROPORTIONS[tier] / sum(PROPORTIONS.values())))
-
-
-def _read(arrays: Arrays) -> BlindScore:
-    return score_from(json.loads(str(arrays["score"])))
 
 
 def score_from(plain: Mapping[str, Any]) -> BlindScore:

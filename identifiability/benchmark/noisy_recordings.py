@@ -8,12 +8,12 @@ noise, and whether several short trials or one long record are taken.
 
 from __future__ import annotations
 
-from math import factorial
 from typing import Literal
 
 import numpy as np
 from scipy import signal
 
+from identifiability.benchmark.motion import Motion
 from identifiability.measurement.trials import Trial
 
 KINDS = (
@@ -30,7 +30,6 @@ KINDS = (
 
 _RATES = (100, 200, 500, 1000)
 MAINS_HZ = 50.0
-_ORDER = 6  # of the smooth steps of an imposed angle: continuous up to the fourth derivative
 
 
 def recording(
@@ -114,16 +113,8 @@ def _moved(
     hold = random.uniform(0.15, 0.3)
     onsets = np.arange(0.1, time[-1] - 0.1, hold)
     heights = np.diff(random.uniform(-0.04, 0.04, onsets.size), prepend=0.0)
-    angle, velocity, acceleration = np.zeros((3, time.size))
-    m = _ORDER
-    for onset, height in zip(onsets, heights, strict=True):
-        s = pace * np.maximum(time - onset, 0.0)
-        fading = np.exp(-s)
-        angle += height * (1 - fading * sum(s**j / factorial(j) for j in range(m)))
-        velocity += height * pace * fading * s ** (m - 1) / factorial(m - 1)
-        rising = s ** (m - 2) / factorial(m - 2) - s ** (m - 1) / factorial(m - 1)
-        acceleration += height * pace**2 * fading * rising
-    return np.column_stack([angle, velocity, acceleration]) @ joint, angle
+    motion = Motion(onsets, heights, pace).at(time)
+    return joint @ motion, motion[0]
 
 
 def noise_of(kind: str, n: int, rate: int, random: np.random.Generator) -> np.ndarray:

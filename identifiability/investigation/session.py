@@ -26,11 +26,8 @@ from identifiability.investigation.posterior.evidence import evaluator_of
 from identifiability.investigation.posterior.probabilities import Probabilities
 from identifiability.investigation.posterior.search import weigh
 from identifiability.investigation.rules import Rules
-from identifiability.investigation.search.fitter import Fitter
 from identifiability.investigation.search.found import Found, Ranking
-from identifiability.investigation.search.gate import Gate
-from identifiability.investigation.search.ranking import Ranker
-from identifiability.investigation.search.search import found_of, rank, search
+from identifiability.investigation.search.search import found_of, rank, ranker_of, search
 from identifiability.investigation.search.smallest_seen import Detectable, detectable
 from identifiability.investigation.split import Split, gather
 from identifiability.investigation.unexplained.account import Unexplained, unexplained
@@ -203,13 +200,7 @@ class Investigation:
             bounds=self.bench.bounds,
             room=self.split.room,
         )
-        ranker = Ranker(
-            self.bench,
-            self.library,
-            Fitter(self.bench, self.baseline),
-            Gate(self.bench, self.baseline),
-            self.progress,
-        )
+        ranker = ranker_of(self.bench, self.baseline, self.library, self.progress)
         evaluator = evaluator_of(band, self.baseline.values, seed=seed)
         number = self.bench.rules.most_effects if most is None else most
         return weigh(ranker, evaluator, self.baseline, number)

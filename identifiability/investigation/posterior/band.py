@@ -84,6 +84,16 @@ class Band:
         return owners(self.observations)
 
     @cached_property
+    def spans(self) -> list[slice]:
+        """Of each observation, its place among the samples of its trial, between its ends."""
+        begins = [p.first for p in self.prepared]
+        out = []
+        for window, trial in zip(self.windows, self.trial, strict=True):
+            first, begins[trial] = begins[trial], begins[trial] + window.size
+            out.append(slice(first, begins[trial]))
+        return out
+
+    @cached_property
     def n_samples(self) -> int:
         """Number of compared samples."""
         return sum(chosen.size for chosen in self.samples)

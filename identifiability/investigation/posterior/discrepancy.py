@@ -73,13 +73,10 @@ class Discrepant:
         In nats.
     sizes : dict of str to float
         By kind, root mean square of what it adds to the response, over the response's.
-    response : list of array
-        By stretch, what it adds to the response [rad or Nm].
     """
 
     log_evidence: float
     sizes: dict[str, float]
-    response: list[np.ndarray]
 
     @property
     def size(self) -> float:
@@ -151,12 +148,10 @@ class Discrepancy:
         band = self.evaluator.band
         every = np.concatenate(by_trial)
         size = float(np.sqrt(np.mean(np.sum(every**2, axis=1))))
-        cursor = [p.first for p in band.prepared]
-        out = []
-        for window, trial in zip(band.windows, band.trial, strict=True):
-            first, cursor[trial] = cursor[trial], cursor[trial] + window.size
-            out.append(by_trial[trial][first : cursor[trial] : band.every] / max(size, 1e-300))
-        return out
+        return [
+            by_trial[trial][span][:: band.every] / max(size, 1e-300)
+            for span, trial in zip(band.spans, band.trial, strict=True)
+        ]
 
     @property
     def kinds(self) -> tuple[str, ...]:
@@ -203,13 +198,12 @@ class Discrepancy:
             gain, sizes, mean = self._sized(inner, along, sizes, cap)
             there = int(np.sum(sizes > _COUNTS * band.scale))
             log_evidence = here.log_evidence + gain - there * np.log(_LOG_RANGE)
-            response = [columns @ mean for columns in self._all]
             if best is not None and log_evidence < best.log_evidence + _GAIN:
                 break
-            best = Discrepant(log_evidence, self._by_kind(mean), response)
+            best = Discrepant(log_evidence, self._by_kind(mean))
             if gain < _WORTH:
                 break
-            raw = self._freed(here, inner, sizes, response)
+            raw = self._freed(here, inner, sizes, [columns @ mean for columns in self._all])
             weights = evaluator.reference.weights(raw, tried)
             tried = weights.contenders[:1]
             here = evaluator.evaluated(problem, found.x, weights, found.refined)
@@ -280,11 +274,11 @@ def discrepancy_of(evaluator: Evaluator, best: Evaluated) -> Discrepancy:
     """Prepare the discrepancies, for the motion that a model which fits well predicts."""
     band = evaluator.band
     problem = band.problem(best.model, refined=best.refined, scheme=best.scheme)
-    responses, cursor = problem.responses(best.x), [p.first for p in band.prepared]
     predicted = [p.response.copy() for p in band.prepared]
-    for response, window, trial in zip(responses, band.windows, band.trial, strict=True):
-        first, cursor[trial] = cursor[trial], cursor[trial] + window.size
-        predicted[trial][first : cursor[trial]] = response[window]
+    for response, window, span, trial in zip(
+        problem.responses(best.x), band.windows, band.spans, band.trial, strict=True
+    ):
+        predicted[trial][span] = response[window]
     motion = []
     for p, response in zip(band.prepared, predicted, strict=True):
         rate = np.gradient(response, p.interval)

@@ -124,11 +124,6 @@ class Evaluated:
     white: np.ndarray
     raw: list[np.ndarray]
 
-    @property
-    def keys(self) -> tuple[str, ...]:
-        """Keys of the model's effects."""
-        return self.model.effect_keys
-
 
 @dataclass(frozen=True, eq=False)
 class Evaluator:
@@ -230,7 +225,7 @@ class Evaluator:
         log_evidence = (
             sum(p.log_density(value) for p, value in zip(priors, x, strict=True))
             + volume
-            - 0.5 * (weighed.squares(x) + weights.log_determinant)
+            - 0.5 * (weighed.squares_of(white, probe) + weights.log_determinant)
             - order * n / max(1, n - order - 2)
         )
         directions = jacobian[:, inside] * turn[inside]

@@ -156,7 +156,10 @@ class Weighed:
 
     def squares(self, x: np.ndarray) -> float:
         """Sum of squared whitened residuals, as it is expected without noise of the angle."""
-        white, probe = self.whitened(x)
+        return self.squares_of(*self.whitened(x))
+
+    def squares_of(self, white: np.ndarray, probe: np.ndarray | None) -> float:
+        """The same, of what `whitened` gave."""
         total = float(white[:, 0] @ white[:, 0])
         if probe is None:
             return total

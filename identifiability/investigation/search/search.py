@@ -50,7 +50,7 @@ def search(
     Found
     """
     most = bench.rules.most_effects if most is None else most
-    return _Search(_ranker(bench, baseline, library, progress), baseline).run(most)
+    return _Search(ranker_of(bench, baseline, library, progress), baseline).run(most)
 
 
 def found_of(
@@ -73,7 +73,7 @@ def found_of(
     sets : sequence of sequence of str
         For each of them all that it could be, its own key included.
     """
-    run = _Search(_ranker(bench, baseline, library, progress), baseline)
+    run = _Search(ranker_of(bench, baseline, library, progress), baseline)
     return run.of(bench.finish(final), sets)
 
 
@@ -103,15 +103,16 @@ def rank(
     -------
     Ranking
     """
-    return _ranker(bench, baseline, library, progress).rank(current)
+    return ranker_of(bench, baseline, library, progress).rank(current)
 
 
-def _ranker(
+def ranker_of(
     bench: Workbench,
     baseline: Candidate,
     library: Mapping[str, type[Effect]],
     progress: Progress,
 ) -> Ranker:
+    """What fits, judges and ranks effects beside models of one study: see `rank`."""
     return Ranker(bench, library, Fitter(bench, baseline), Gate(bench, baseline), progress)
 
 
