@@ -7,7 +7,7 @@ import pytest
 
 from identifiability.benchmark import calibration
 from identifiability.benchmark.blind import TIERS, blind_cases
-from identifiability.benchmark.calibration import BlindScore, outcome_of, score_from, share
+from identifiability.benchmark.calibration import BlindScore, outcome_of, same, score_from, share
 from identifiability.cli.main import main
 from identifiability.report.calibration import calibration_page
 
@@ -68,6 +68,13 @@ def test_the_readme_quotes_the_record(record):
 )
 def test_a_claim_is_held_to_every_name(truth, claim, sets, expected):
     assert outcome_of(truth, claim, sets) == expected
+
+
+def test_only_effects_of_one_form_are_the_same():
+    assert same(("series_tendon", "gravity"), ("gravity", "maxwell_branch"))
+    assert not same(("gravity",), ("stretch_reflex",))
+    assert not same(("gravity",), ("gravity", "second_mass"))
+    assert not same((), None)
 
 
 def a_score(rows, truth):

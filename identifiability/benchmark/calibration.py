@@ -101,7 +101,7 @@ def same(effects: Sequence[str] | None, truth: Sequence[str] | None) -> bool:
 
 
 def _form(key: str) -> str:
-    return min(key, *EFFECTS[key].equivalent) if key in EFFECTS else key
+    return min((key, *EFFECTS[key].equivalent)) if key in EFFECTS else key
 
 
 def outcome_of(truth: Sequence[str] | None, claim: str, sets: Sequence[Sequence[str]]) -> str:
