@@ -67,15 +67,19 @@ def hill_torque(v, strength, fastest, asymmetry):
     return strength * ((1 + asymmetry) * pull - (1 - asymmetry) * push) / 2
 
 
+def approach(gap):
+    return gap / (0.02 if gap > 0 else 2.5 * 0.02)
+
+
 # Every effect in the joint without delay: its parameters, its number of states, its torque and the
 # rates of its states as functions of angle, velocity and states.
 OMEGA = 2 * np.pi * 12.0
 EQUATIONS = {
     "activation_lag": (
-        {"gain": 30.0, "time_constant": 0.02},
-        1,
-        lambda q, v, z: 30 * z[0],
-        lambda q, v, z: [(q - z[0]) / 0.02],
+        {"gain": 30.0, "time_constant": 0.02, "off_ratio": 2.5},
+        2,
+        lambda q, v, z: z[0] - z[1],
+        lambda q, v, z: [approach(30 * max(x, 0.0) - a) for x, a in zip((q, -q), z, strict=True)],
     ),
     "coulomb_friction": (
         {"torque": 1.0, "velocity": 0.05, "breakaway": 0.5},
@@ -179,7 +183,9 @@ def test_transfer_functions():
     }
     for key, (numerator, denominator) in systems.items():
         expected = impulse_by_residues(scipy.signal.lti(numerator, denominator), TIME)
-        agree(response(key, Impulse(1.0).drive(TIME), **EQUATIONS[key][0]), expected, 1e-9)
+        # As fast off as on, where activation has no one linear form.
+        values = EQUATIONS[key][0] | ({"off_ratio": 1.0} if key == "activation_lag" else {})
+        agree(response(key, Impulse(1.0).drive(TIME), **values), expected, 1e-9)
 
 
 def test_a_linear_tendon_has_the_form_of_a_maxwell_branch():

@@ -39,6 +39,8 @@ _FIT, _HELD_OUT = 8, 3  # short trials
 _LEAD = 0.1  # seconds at rest
 _SIZES = (0.1, 3.0)  # of the joint, as a factor of the torques of those that `draw_joint` draws
 _QUICK_RTOL = 1e-6
+_JUDGED = 1.0  # seconds of a trial by which it is judged whether an effect matters
+_QUICK_STEPS = 6
 _STRIDE = 7  # shares no factor with the numbers of kinds
 
 TIERS = ("singles", "pairs", "unknown", "nulls")
@@ -165,6 +167,8 @@ def missed(joint: Joint, clean: Sequence[tuple[np.ndarray, ...]], imposed: Impos
     imposed : {"torque", "angle"}
     """
     trials = clean[:: max(1, len(clean) // 3)]
+    if imposed == "torque":
+        trials = [tuple(x[: round(_JUDGED / (s[0][1] - s[0][0]))] for x in s) for s in trials]
     energy = sum(float(np.sum(np.square(s[2 if imposed == "torque" else 1]))) for s in trials)
     if imposed == "angle":
         # Linear in K, B and I: what the rest of the joint does not resist is regressed on motion.
@@ -183,19 +187,17 @@ def missed(joint: Joint, clean: Sequence[tuple[np.ndarray, ...]], imposed: Impos
         moved = joint.scaled(*np.exp(np.clip(logs, -3, 3)))
         parts = []
         for time, torque, angle in trials:
-            stop = min(time.size, int(2.0 / (time[1] - time[0])))
             try:
-                own = moved.respond(torque[:stop], float(time[1] - time[0]), _QUICK_RTOL)
+                own = moved.respond(torque, float(time[1] - time[0]), _QUICK_RTOL)
             except ArithmeticError:
-                own = np.zeros(stop)
-            parts.append(own - angle[:stop])
+                own = np.zeros(time.size)
+            parts.append(own - angle)
         return np.concatenate(parts) / np.sqrt(energy)
 
-    ends = [
-        optimize.least_squares(residuals, start, method="lm", diff_step=1e-3, max_nfev=15)
-        for start in (np.zeros(3), np.array([0.0, -1.0, 0.0]))
-    ]
-    return float(min(2 * found.cost for found in ends))
+    found = optimize.least_squares(
+        residuals, np.zeros(3), x_scale=0.3, diff_step=1e-3, max_nfev=_QUICK_STEPS
+    )
+    return float(2 * found.cost)
 
 
 def _pushed(

@@ -375,7 +375,8 @@ def _pairs() -> Iterator[Draft]:
 
 
 def _unknown() -> Iterator[Draft]:
-    keys = [*UNKNOWNS, *UNKNOWNS, "time_varying_stiffness", "bouc_wen"]
-    for index, key in enumerate(keys):
-        ratio = RATIOS[index // len(UNKNOWNS)]
+    # Those that the published cases know; the blind ones draw from all.
+    known = list(UNKNOWNS)[:5]
+    for index, key in enumerate([*known, *known, "time_varying_stiffness", "bouc_wen"]):
+        ratio = RATIOS[index // len(known)]
         yield key, "unknown", (key,), (None,), _recorder(ratio, index), 0.0

@@ -262,6 +262,145 @@ class QuadraticDrag(TorqueEffect):
         return self.coefficient * abs(velocity) * velocity, AT_REST
 
 
+@dataclass(frozen=True)
+class EndStop(TorqueEffect):
+    """A stop beyond which the joint is stiff, on one side: bone, capsule or rubber of a rig.
+
+    Attributes
+    ----------
+    stiffness : float
+        In Nm/rad, beyond the stop.
+    begin : float
+        Angle (rad) of the stop.
+    """
+
+    stiffness: float
+    begin: float
+    key = "end_stop"
+    forms = ("one_sided",)
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator, anatomy: Anatomy, form: str) -> Self:
+        """Draw a stop two to five times as stiff as the joint, at 0.01 to 0.05 rad."""
+        return cls(rng.uniform(2.0, 5.0) * anatomy.stiffness, rng.uniform(0.01, 0.05))
+
+    def scaled(self, size: float) -> Self:
+        """Scale its stiffness."""
+        return self._times(size, "stiffness")
+
+    def react(  # noqa: D102
+        self, time: float, angle: float, velocity: float, states: Sequence[float], past: Past
+    ) -> Reaction:
+        return self.stiffness * max(angle - self.begin, 0.0), AT_REST
+
+
+@dataclass(frozen=True)
+class CoggingTorque(TorqueEffect):
+    """Torque that comes and goes with the angle, as between a motor's magnets and teeth.
+
+    Attributes
+    ----------
+    torque : float
+        Amplitude (Nm).
+    pitch : float
+        Angle (rad) from tooth to tooth.
+    """
+
+    torque: float
+    pitch: float
+    key = "cogging"
+    forms = ("sinusoidal",)
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator, anatomy: Anatomy, form: str) -> Self:
+        """Draw teeth 0.03 to 0.08 rad apart, as steep as 0.3 to 0.8 of the joint's stiffness."""
+        pitch = rng.uniform(0.03, 0.08)
+        steep = rng.uniform(0.3, 0.8) * anatomy.stiffness
+        return cls(steep * pitch / (2.0 * math.pi), pitch)
+
+    def scaled(self, size: float) -> Self:
+        """Scale its torque."""
+        return self._times(size, "torque")
+
+    def react(  # noqa: D102
+        self, time: float, angle: float, velocity: float, states: Sequence[float], past: Past
+    ) -> Reaction:
+        return self.torque * math.sin(2.0 * math.pi * angle / self.pitch), AT_REST
+
+
+@dataclass(frozen=True)
+class Thixotropy(TorqueEffect):
+    """Stiffness that motion breaks down and rest restores (Lakie & Robson 1988, QJEP 73:487).
+
+    Attributes
+    ----------
+    stiffness : float
+        In Nm/rad, after long rest.
+    recovery : float
+        Time constant (s) of the restoring.
+    path : float
+        Way (rad) after which motion has broken it down.
+    """
+
+    stiffness: float
+    recovery: float
+    path: float
+    key = "thixotropy"
+    forms = ("first_order",)
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator, anatomy: Anatomy, form: str) -> Self:
+        """Draw 0.5 to 1.5 of the joint's stiffness, lost within 0.05 to 0.2 rad, back in 1-5 s."""
+        return cls(
+            rng.uniform(0.5, 1.5) * anatomy.stiffness,
+            rng.uniform(1.0, 5.0),
+            rng.uniform(0.05, 0.2),
+        )
+
+    def scaled(self, size: float) -> Self:
+        """Scale its stiffness."""
+        return self._times(size, "stiffness")
+
+    def n_states(self) -> int:  # noqa: D102
+        return 1
+
+    def react(  # noqa: D102
+        self, time: float, angle: float, velocity: float, states: Sequence[float], past: Past
+    ) -> Reaction:
+        broken = states[0]
+        rate = (1.0 - broken) * abs(velocity) / self.path - broken / self.recovery
+        return self.stiffness * (1.0 - broken) * angle, (rate,)
+
+
+@dataclass(frozen=True)
+class SidedDamping(TorqueEffect):
+    """Damping on one side of the middle alone, as of a damper that is met on the way.
+
+    Attributes
+    ----------
+    damping : float
+        In Nms/rad, where the angle is positive.
+    """
+
+    damping: float
+    key = "sided_damping"
+    forms = ("half",)
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator, anatomy: Anatomy, form: str) -> Self:
+        """Draw two to five times the joint's damping."""
+        return cls(rng.uniform(2.0, 5.0) * anatomy.damping)
+
+    def scaled(self, size: float) -> Self:
+        """Scale its damping."""
+        return self._times(size, "damping")
+
+    def react(  # noqa: D102
+        self, time: float, angle: float, velocity: float, states: Sequence[float], past: Past
+    ) -> Reaction:
+        return (self.damping * velocity if angle > 0.0 else 0.0), AT_REST
+
+
 UNKNOWNS: dict[str, type[HiddenEffect]] = {
     effect.key: effect
     for effect in (
@@ -270,6 +409,10 @@ UNKNOWNS: dict[str, type[HiddenEffect]] = {
         FractionalDamping,
         Backlash,
         QuadraticDrag,
+        EndStop,
+        CoggingTorque,
+        Thixotropy,
+        SidedDamping,
     )
 }
 """Effects outside the usual list, by key."""

@@ -190,7 +190,7 @@ class Investigation:
         Raises
         ------
         InputError
-            Where the trials are not sampled alike.
+            Where the trials' rates are no multiples of the lowest.
         """
         trials, held_out, lowpass_hz = self._recorded
         band = band_of(

@@ -22,6 +22,7 @@ from identifiability.measurement.splitting import hold_out
 from identifiability.measurement.trials import Trial
 
 _LONGEST, _WARM_UP = 4096, 1.0  # samples of a piece; seconds in which a piece forgets its start
+_SHORTEST, _RATIO = 64, 1.25  # of the lengths that imposed angles are padded to
 _ROUND = 64  # lengths are padded to a multiple, so that compiled programs serve many data sets
 
 
@@ -101,10 +102,25 @@ class Split:
 
     @cached_property
     def room(self) -> tuple[int, int]:
-        """Numbers of observations and samples that both parts fit into."""
-        parts = [self.observations(part) for part in (self.fitted, self.held_out) if part]
-        longest = max(o.measured.size for part in parts for o in part)
-        return max(len(part) for part in parts), -(-longest // _ROUND) * _ROUND
+        """Numbers of observations and samples that both parts fit into, together.
+
+        So that what compares all trials shares the compiled programs of what fits some.
+        """
+        every = self.observations(self.fitted) + self.observations(self.held_out)
+        longest = max(o.measured.size for o in every)
+        if self.fitted[0].trial.driven == "angle":
+            return len(every), roomy(longest)
+        return len(every), -(-longest // _ROUND) * _ROUND
+
+
+def roomy(n: int) -> int:
+    """One of few lengths that so many samples fit into.
+
+    Where an imposed angle was thinned to its motion, records have any length; a compiled program
+    for each would take longer than the samples that are computed for nothing.
+    """
+    lengths = np.ceil(_SHORTEST * _RATIO ** np.arange(60)).astype(int)
+    return int(lengths[np.searchsorted(lengths, n)])
 
 
 def gather(

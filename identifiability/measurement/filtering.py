@@ -31,6 +31,7 @@ _FLAT = (_MIDDLE + _HIGH) / (_LOW + _MIDDLE)
 _SAMPLES_PER_CYCLE = 5.0
 # Cycles of the cut-off over which the filter reaches: its slowest pole fades by exp(-2.4) in each.
 _REACH, _LARGEST_SHARE, _SMALL_SHARE = 2.0, 0.25, 0.05
+_SAME, _OFF_STEP = 1e-9, 0.05  # of the largest jump; of a step: what text of few digits rounds
 _AT_REST = 0.1  # share of the fastest motion that is none
 
 
@@ -63,38 +64,73 @@ def cutoff(trials: Sequence[Trial], lowpass_hz: Lowpass) -> float | None:
     return float(lowpass_hz)
 
 
-def noise_cutoff(trials: Sequence[Trial]) -> float:
+def noise_cutoff(trials: Sequence[Trial], ratio: float = 1.0) -> float:
     """Return the frequency [Hz] above which the imposed angle is noise more than motion.
 
     The noise is what the angle's spectrum levels off to below half the sampling rate, be it the
     sensor's or the rounding of a coarse recorder; the motion ends where the spectrum, in bands of a
-    third of an octave, comes down to twice that level. Where the spectrum still falls there, or
-    the motion goes on, the cut-off is the usual one (`HIGHEST_HZ`).
+    third of an octave, comes down to so many times that level above it. Where the spectrum still
+    falls there, or the motion goes on, the cut-off is the usual one (`HIGHEST_HZ`).
 
     Parameters
     ----------
     trials : sequence of Trial
         Their spectra are added up.
+    ratio : float
+        Of motion to noise at the cut-off.
     """
-    rate = min(trial.sampling_rate for trial in trials)
-    nyquist = 0.5 * rate
+    nyquist = 0.5 * min(trial.sampling_rate for trial in trials)
     highest = min(HIGHEST_HZ, _OF_NYQUIST * nyquist)
     spectra = [_spectrum(trial) for trial in trials]
-
-    def power(low: float, high: float) -> float:
-        """Mean density of the angle between two frequencies, summed over the trials."""
-        found = [p[(f >= low) & (f < high)] for f, p in spectra]
-        return float(sum(p.mean() if p.size else np.nan for p in found))
-
-    lower = power(_LOW * nyquist, _MIDDLE * nyquist)
-    upper = power(_MIDDLE * nyquist, _HIGH * nyquist)
-    if not upper / _FLAT < lower < upper * _FLAT:
+    noise, edge = _floor(spectra, nyquist), highest
+    if noise is None:
         return highest
-    noise, edge = 0.5 * (lower + upper), highest
-    while (found := power(edge / _BAND, edge)) < 2 * noise:
+    while (found := _power(spectra, edge / _BAND, edge)) < (1 + ratio) * noise:
         edge /= _BAND
     # A band without a line of the spectrum: none held motion, so there is nothing to go by.
     return edge if np.isfinite(found) else highest
+
+
+def known_noise(trials: Sequence[Trial]) -> float:
+    """Return the standard deviation [rad] of the white noise that the angles show by themselves.
+
+    Of rounding to steps, or of what their spectrum levels off to, whichever is more; 0 where
+    neither shows.
+
+    Parameters
+    ----------
+    trials : sequence of Trial
+        As they were recorded.
+    """
+    nyquist = 0.5 * min(trial.sampling_rate for trial in trials)
+    floor = _floor([_spectrum(trial) for trial in trials], nyquist)
+    level = 0.0 if floor is None else float(np.sqrt(floor * nyquist / len(trials)))
+    steps = [rounding_step(trial.angle) for trial in trials]
+    return max(level, float(np.sqrt(np.mean(np.square(steps)) / 12)))
+
+
+def rounding_step(values: np.ndarray) -> float:
+    """Return the step of which all differences are multiples; 0 where there is none."""
+    jumps = np.abs(np.diff(values))
+    if not jumps.any():
+        return 0.0
+    step = float(jumps[jumps > _SAME * jumps.max()].min())
+    multiples = (values - values[0]) / step
+    off = np.abs(multiples - np.round(multiples))
+    return step if off.max() < _OFF_STEP else 0.0
+
+
+def _power(spectra: Sequence[tuple[np.ndarray, np.ndarray]], low: float, high: float) -> float:
+    """Mean density of the angle between two frequencies, summed over the trials."""
+    found = [p[(f >= low) & (f < high)] for f, p in spectra]
+    return float(sum(p.mean() if p.size else np.nan for p in found))
+
+
+def _floor(spectra: Sequence[tuple[np.ndarray, np.ndarray]], nyquist: float) -> float | None:
+    """Density that the angle levels off to, summed over the trials; None where it still falls."""
+    lower = _power(spectra, _LOW * nyquist, _MIDDLE * nyquist)
+    upper = _power(spectra, _MIDDLE * nyquist, _HIGH * nyquist)
+    return 0.5 * (lower + upper) if upper / _FLAT < lower < upper * _FLAT else None
 
 
 def _spectrum(trial: Trial) -> tuple[np.ndarray, np.ndarray]:

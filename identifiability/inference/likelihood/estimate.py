@@ -27,6 +27,8 @@ _LONG_AR = 16  # order of the autoregression whose residuals stand for the shock
 _MOST_CORRELATED = 5.0  # bound of atanh of a partial autocorrelation
 _SHARES = np.geomspace(1e-6, 1e6, 13)  # of carried to own variance, to start from
 _ITERATIONS = 30
+_STEP, _INSIDE = 1e-5, 1e-3  # of differences; from bounds, to start at
+_HUGE = 1e10  # stands for a noise without likelihood
 _SHORTLIST = 3
 
 
@@ -327,16 +329,26 @@ class _Sample:
 
     def cost(self, order: Order, values: np.ndarray, *, restricted: bool) -> float:
         """Minus the log likelihood, the level of the noise and those of stretches profiled out."""
+        scaled, freedom = self.scaled(order, values, restricted=restricted)
+        return 0.5 * freedom * float(np.log(scaled @ scaled / freedom))
+
+    def scaled(
+        self, order: Order, values: np.ndarray, *, restricted: bool
+    ) -> tuple[np.ndarray, int]:
+        """Whitened residuals times the root of the mean variance, and their degrees of freedom.
+
+        The likelihood with its level profiled out is that of their sum of squares: fitting the
+        noise is a problem of least squares.
+        """
+        parts, determinant, freedom = [], 0.0, 0
+        information = np.zeros((self.k, self.k))
         try:
             whitening = self.noise(order, values).whitening(max(self.by_length))
-            squares = determinant = 0.0
-            information = np.zeros((self.k, self.k))
-            freedom = 0
             for n, (residuals, jacobians) in self.by_length.items():
                 m = residuals.shape[1]
                 columns = np.column_stack([residuals, jacobians]) if restricted else residuals
                 white, length = without_level(whitening, columns)
-                squares += float(np.sum(white[:, :m] ** 2))
+                parts.append(white[:, :m].ravel())
                 determinant += m * (whitening.log_determinant(n) + 2 * np.log(length))
                 freedom += m * (n - 1)
                 if restricted:
@@ -346,8 +358,10 @@ class _Sample:
                 freedom -= self.k
                 determinant += float(np.linalg.slogdet(information)[1])
         except np.linalg.LinAlgError:
-            return np.inf
-        return 0.5 * (freedom * np.log(squares / freedom) + determinant)
+            determinant = -np.inf
+        if not np.isfinite(determinant):
+            return np.full(self.n_samples, np.inf), self.n_samples
+        return np.concatenate(parts) * np.exp(0.5 * determinant / freedom), freedom
 
     def fitted(
         self, order: Order, start: np.ndarray, *, restricted: bool
@@ -356,22 +370,38 @@ class _Sample:
         if not order.size:
             return start, self.cost(order, start, restricted=restricted), True
 
-        def cost(values: np.ndarray) -> float:
-            found = self.cost(order, values, restricted=restricted)
-            return found if np.isfinite(found) else 1e10
+        last: list[tuple[np.ndarray, np.ndarray]] = []
 
-        bounds = [(-_MOST_CORRELATED, _MOST_CORRELATED)] * (order.p + order.q)
+        def scaled(values: np.ndarray) -> np.ndarray:
+            if last and np.array_equal(last[0][0], values):
+                return last[0][1]
+            found = self.scaled(order, values, restricted=restricted)[0]
+            found = found if np.all(np.isfinite(found)) else np.full(self.n_samples, _HUGE)
+            last[:] = [(values.copy(), found)]
+            return found
+
+        def slopes(values: np.ndarray) -> np.ndarray:
+            here = scaled(values)  # kept from the step that led here
+            moved = values + np.where(values < 0, _STEP, -_STEP) * np.eye(values.size)
+            return np.column_stack(
+                [(scaled(at) - here) / (at - values)[i] for i, at in enumerate(moved)]
+            )
+
+        lower = np.full(order.size, -_MOST_CORRELATED)
+        upper = -lower
         if order.carried:
-            bounds.append((0.5 * np.log(_SHARES[0]) - 3, 0.5 * np.log(_SHARES[-1]) + 3))
-        found = scipy.optimize.minimize(
-            cost,
-            np.clip(start, *np.transpose(bounds)),
-            method="L-BFGS-B",
-            bounds=bounds,
-            options={"maxiter": _ITERATIONS, "ftol": 1e-8, "eps": 1e-5},
+            lower[-1] = 0.5 * np.log(_SHARES[0]) - 3
+            upper[-1] = 0.5 * np.log(_SHARES[-1]) + 3
+        found = scipy.optimize.least_squares(
+            scaled,
+            np.clip(start, lower + _INSIDE, upper - _INSIDE),
+            jac=slopes,
+            bounds=(lower, upper),
+            max_nfev=_ITERATIONS,
+            ftol=1e-6,
+            xtol=1e-4,
         )
-        # A line search that finds nothing lower has ended too: at what differences can resolve.
-        return found.x, float(found.fun), bool(found.nit < _ITERATIONS)
+        return found.x, self.cost(order, found.x, restricted=restricted), bool(found.status > 0)
 
 
 def _reflections(pieces: Sequence[np.ndarray], order: int) -> np.ndarray:

@@ -13,15 +13,21 @@ from functools import cached_property
 
 import numpy as np
 from scipy import signal
-from scipy.ndimage import convolve1d
+from scipy.ndimage import convolve1d, maximum_filter1d, minimum_filter1d
 
 from identifiability.errors import InputError
 from identifiability.inference.problem import Observation, Prior, Problem
 from identifiability.inference.starts import plain_values
-from identifiability.investigation.split import owners, pieces
+from identifiability.investigation.split import owners, pieces, roomy
 from identifiability.joint.model import Model
 from identifiability.joint.scheme import Scheme
-from identifiability.measurement.filtering import Lowpass, cutoff
+from identifiability.measurement.filtering import (
+    Lowpass,
+    cutoff,
+    known_noise,
+    noise_cutoff,
+    rounding_step,
+)
 from identifiability.measurement.noise import Noise
 from identifiability.measurement.perturbations import imposed_motion
 from identifiability.measurement.prepared import Prepared, prepare_whole_band
@@ -30,6 +36,8 @@ from identifiability.measurement.trials import Trial
 _HALF_BAND = signal.firwin(23, 0.5)
 _ENOUGH = 3.9  # samples a cycle of the cut-off, of which every other one is enough
 _SAME_RATE = 1e-3
+_AROUND, _STANDS = 5, 0.6  # samples; steps: a filter makes less of one
+_CLEAR = 10.0  # times the noise that the motion is, up to the cut-off
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,12 +54,18 @@ class Band:
         Other bounds than the physical ones, by parameter name.
     room : tuple of int
         That the data are padded to: see `Problem`.
+    angle_noise : float
+        Standard deviation [rad] of the white noise that an imposed angle is known to have.
+    step : float
+        To multiples of which the angle was rounded [rad]; 0 where it was not.
     """
 
     prepared: tuple[Prepared, ...]
     every: int
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     room: tuple[int, int] = (0, 0)
+    angle_noise: float = 0.0
+    step: float = 0.0
 
     @property
     def angle_imposed(self) -> bool:
@@ -119,6 +133,16 @@ class Band:
             out += pieces(replace(p, drive=drive), Noise(1.0))
         return out
 
+    @property
+    def stands(self) -> list[np.ndarray]:
+        """Of each trial, the samples about which the angle does not leave one rounding step."""
+        out = []
+        for p in self.prepared:
+            angle = p.trial.angle
+            around = maximum_filter1d(angle, _AROUND) - minimum_filter1d(angle, _AROUND)
+            out.append(around < _STANDS * self.step)
+        return out
+
     def problem(
         self,
         model: Model,
@@ -170,22 +194,45 @@ def band_of(
     Raises
     ------
     InputError
-        Where the trials are not sampled alike.
+        Where the trials' rates are no multiples of the lowest.
     """
-    every = [*trials, *held_out]
+    recorded = [*trials, *held_out]
+    every = _alike(recorded)
+    if lowpass_hz == "auto" and every[0].driven == "angle":
+        lowpass_hz = noise_cutoff(every, _CLEAR)
     fitted = prepare_whole_band(every, lowpass_hz=lowpass_hz)
-    intervals = [p.interval for p in fitted]
-    if max(intervals) > (1 + _SAME_RATE) * min(intervals):
+    step = max(rounding_step(trial.angle) for trial in recorded)
+    band = Band(fitted, 1, dict(bounds or {}), step=step)
+    if fitted[0].trial.driven == "torque":
+        return replace(band, room=room)
+    cutoff_hz, interval = cutoff(every, lowpass_hz), fitted[0].interval
+    # What thinning leaves of white noise.
+    noise = known_noise(recorded) / np.sqrt(max(1.0, interval * recorded[0].sampling_rate))
+    if cutoff_hz is None or 1 / interval < _ENOUGH * cutoff_hz:
+        return _with_room(replace(band, angle_noise=noise))
+    noise *= np.sqrt(np.sum(_HALF_BAND**2))
+    return _with_room(
+        replace(band, prepared=tuple(_halved(p) for p in fitted), every=2, angle_noise=noise)
+    )
+
+
+def _with_room(band: Band) -> Band:
+    """The same with room for probes too, in one of few shapes."""
+    longest = max(o.measured.size for o in band.observations)
+    return replace(band, room=(2 * len(band.observations), roomy(longest)))
+
+
+def _alike(trials: list[Trial]) -> list[Trial]:
+    """Trials at the lowest of their rates, where it goes into the others."""
+    intervals = [1 / trial.sampling_rate for trial in trials]
+    factors = [round(max(intervals) / interval) for interval in intervals]
+    odd = [abs(f * i / max(intervals) - 1) for f, i in zip(factors, intervals, strict=True)]
+    if max(odd) > _SAME_RATE:
         raise InputError(
             f"found trials sampled every {min(intervals):g} to {max(intervals):g} s, expected one "
-            "rate for all whose effects are weighed together; resample them"
+            "rate for all whose effects are weighed together, or multiples of one; resample them"
         )
-    if fitted[0].trial.driven == "torque":
-        return Band(fitted, 1, dict(bounds or {}), room)
-    cutoff_hz = cutoff(every, lowpass_hz)
-    if cutoff_hz is None or 1 / max(intervals) < _ENOUGH * cutoff_hz:
-        return Band(fitted, 1, dict(bounds or {}))
-    return Band(tuple(_halved(p) for p in fitted), 2, dict(bounds or {}))
+    return [t.thinned(f) if f > 1 else t for t, f in zip(trials, factors, strict=True)]
 
 
 def _halve(values: np.ndarray) -> np.ndarray:

@@ -2,8 +2,9 @@
 
 A Gaussian process over what a joint can resist by: its present angle and velocity (static), how far
 it moved since it turned back (hysteresis), its past motion (memory), time (stiffness and damping
-that vary alike in every trial; drift of the recorder) and, where the torque was imposed, a filter
-or shift of the recorder. Each kind has one size, of highest evidence. What is not the same in every
+that vary alike in every trial; drift of the recorder), where the torque was imposed a filter or
+shift of the recorder, and the model's own parameters, if they are not the same in all trials. Each
+kind has one size, of highest evidence. What is not the same in every
 trial is noise, of whatever colour.
 
 A model is as exact as its equations. So a model whose effects need a discrepancy of no more than a
@@ -19,14 +20,18 @@ from functools import cached_property
 
 import numpy as np
 import scipy.linalg
+from scipy.ndimage import uniform_filter1d
 
 from identifiability.inference.likelihood.carried import by_admittance
+from identifiability.investigation.posterior.band import Band
 from identifiability.investigation.posterior.evidence import Evaluated, Evaluator
 from identifiability.investigation.unexplained.terms import Term, Terms, interpolation
 from identifiability.investigation.unexplained.traces import Response
 from identifiability.measurement.perturbations import imposed_motion
 
 _MOST_COLUMNS, _NEGLIGIBLE = 25, 1e-3  # of one term; share of its largest direction
+_MOST_INCONSTANT, _PARTS = 60, 12  # directions; parts of all trials together, about
+_CHANGES = 0.5  # of its value, by which a parameter may differ
 _VARYING_NODES, _VARYING_STEP = 20, 0.1  # number at most; s at least
 _LARGEST, _SMALLEST, _FIRST = 3.0, 1e-6, 0.1  # sizes, over the response's
 _COUNTS = 1e-4  # size, over the response's, from which a kind is there
@@ -34,6 +39,8 @@ _LOG_RANGE = np.log(_LARGEST / _COUNTS)  # of a kind's size, whose prior is unif
 _STEPS, _MOVED = 80, 0.03
 _ROUNDS, _GAIN = 4, 0.5  # of noise and discrepancy in turn; nats that one must bring
 _MOST_ACTIVE = 0.25  # share of the samples that may go into directions of the discrepancy
+_AROUND = 0.05  # s, over which a motion is lively
+_SHARES_TRIED, _LEAST_VARIANCE = 41, 1e-6
 _WORTH = 1.0  # nats below which no discrepancy is looked for any further
 
 
@@ -153,6 +160,60 @@ class Discrepancy:
             for span, trial in zip(band.spans, band.trial, strict=True)
         ]
 
+    def beside(self, found: Evaluated, most: float | None = None) -> Discrepant:
+        """A model with a discrepancy, noise and discrepancy estimated in turn.
+
+        Parameters
+        ----------
+        found : Evaluated
+        most : float, optional
+            Largest root mean square [rad or Nm] of each kind; a few times the response's by
+            default.
+        """
+        own, size = self._inconstant(found)
+        cap = _LARGEST * self.evaluator.band.scale if most is None else most
+        caps = np.append(np.full(len(self.columns), cap), min(cap, _CHANGES * size))
+        columns = {**self.columns, "inconstant": own}
+        return _Beside(self.evaluator, columns, caps, self._lively).of(found)
+
+    @cached_property
+    def _lively(self) -> np.ndarray:
+        return np.concatenate(liveliness(self.evaluator.band))
+
+    def _inconstant(self, found: Evaluated) -> tuple[list[np.ndarray], float]:
+        """What a model's parameters do if they are not the same from trial to trial.
+
+        Or from one part of a long record to the next. A description of what it does not know has
+        to bend to every condition; a mechanism does not. With the size [rad or Nm] of what they do
+        if all of them change by themselves.
+        """
+        band = self.evaluator.band
+        longest = max(p.trial.duration for p in band.prepared)
+        parts = max(1, round(_PARTS / len(band.prepared)))
+        nodes = np.linspace(0.0, longest, parts + 1) if parts > 1 else np.zeros(1)
+        columns = []
+        for raw, span, trial in zip(found.raw, band.spans, band.trial, strict=True):
+            time = np.arange(span.start, span.stop)[:: band.every] * band.prepared[trial].interval
+            weight = interpolation(time, nodes) if parts > 1 else np.ones((time.size, 1))
+            own = (raw[:, 1:] * found.x)[:, :, None] * weight[:, None, :]
+            own = own.reshape(time.size, -1)
+            placed = np.zeros((time.size, len(band.prepared), own.shape[1]))
+            placed[:, trial] = own
+            columns.append(placed.reshape(time.size, -1))
+        kept = _largest(columns, min(_MOST_INCONSTANT, band.n_samples // 4))
+        size = float(np.sqrt(np.mean(np.sum(np.concatenate(kept) ** 2, axis=1))))
+        return [c / max(size, 1e-300) for c in kept], size
+
+
+@dataclass(frozen=True, eq=False)
+class _Beside:
+    """Discrepancies of one model, by kind, what each unit adds to the response, by stretch."""
+
+    evaluator: Evaluator
+    columns: Mapping[str, list[np.ndarray]]
+    caps: np.ndarray
+    lively: np.ndarray
+
     @property
     def kinds(self) -> tuple[str, ...]:
         """Kinds of torque that there may be."""
@@ -168,19 +229,10 @@ class Discrepancy:
         widths = [parts[0].shape[1] for parts in self.columns.values()]
         return np.repeat(np.arange(len(widths)), widths)
 
-    def beside(self, found: Evaluated, most: float | None = None) -> Discrepant:
-        """A model with a discrepancy, noise and discrepancy estimated in turn.
-
-        Parameters
-        ----------
-        found : Evaluated
-        most : float, optional
-            Largest root mean square [rad or Nm] of each kind; a few times the response's by
-            default.
-        """
+    def of(self, found: Evaluated) -> Discrepant:
+        """The model with the discrepancy of highest evidence: see `Discrepancy.beside`."""
         evaluator, band = self.evaluator, self.evaluator.band
-        cap = _LARGEST * band.scale if most is None else most
-        sizes = np.full(len(self.kinds), min(_FIRST * band.scale, cap))
+        sizes = np.minimum(_FIRST * band.scale, self.caps)
         problem = band.problem(
             found.model,
             refined=found.refined,
@@ -195,12 +247,20 @@ class Discrepancy:
             taken = np.linalg.solve(here.precision, shared)
             inner = white.T @ white - shared.T @ taken
             along = white.T @ here.white - taken.T @ here.gradient
-            gain, sizes, mean = self._sized(inner, along, sizes, cap)
+            gain, sizes, mean = self._sized(inner, along, sizes)
             there = int(np.sum(sizes > _COUNTS * band.scale))
             log_evidence = here.log_evidence + gain - there * np.log(_LOG_RANGE)
+            moved = np.linalg.solve(here.precision, here.gradient) - taken @ mean
+            left = here.white - white @ mean - here.directions @ moved
+            rms = here.weights.estimate.rms
+            more, share = growing_noise(left, self.lively, min(1.0, (self.caps[0] / rms) ** 2))
+            grows = more > np.log(_LOG_RANGE)
+            log_evidence += (more - np.log(_LOG_RANGE)) * grows
             if best is not None and log_evidence < best.log_evidence + _GAIN:
                 break
-            best = Discrepant(log_evidence, self._by_kind(mean))
+            by_kind = self._by_kind(mean)
+            by_kind["unrepeatable"] = float(np.sqrt(share) * rms / band.scale) if grows else 0.0
+            best = Discrepant(log_evidence, by_kind)
             if gain < _WORTH:
                 break
             raw = self._freed(here, inner, sizes, [columns @ mean for columns in self._all])
@@ -232,7 +292,7 @@ class Discrepancy:
         ]
 
     def _sized(
-        self, inner: np.ndarray, along: np.ndarray, sizes: np.ndarray, cap: float
+        self, inner: np.ndarray, along: np.ndarray, sizes: np.ndarray
     ) -> tuple[float, np.ndarray, np.ndarray]:
         """Sizes of highest evidence, what they add to it, and the weights' mean.
 
@@ -254,10 +314,10 @@ class Discrepancy:
                 own = self._owner == i
                 determined = max(float(np.sum(1 - covariance[own])), 1e-9)
                 wanted[i] = np.sqrt(np.sum(mean[own] ** 2) / determined)
-            wanted = np.clip(wanted, least, cap)
+            wanted = np.clip(wanted, least, self.caps)
             if np.max(np.abs(np.log(wanted / sizes))) < _MOVED:
                 break
-            sizes = np.clip(np.sqrt(sizes * wanted), least, cap)
+            sizes = np.sqrt(sizes * wanted)
         return gain, sizes, mean
 
     def _by_kind(self, mean: np.ndarray) -> dict[str, float]:
@@ -268,6 +328,59 @@ class Discrepancy:
             )
             for i, kind in enumerate(self.kinds)
         }
+
+
+def liveliness(band: Band) -> list[np.ndarray]:
+    """How lively the motion is about every compared sample, by stretch; its mean is 1.
+
+    NaN where a rounded angle stands still, which then has no noise.
+    """
+    by_trial = []
+    for p, stands in zip(band.prepared, band.stands, strict=True):
+        size = max(3, round(_AROUND / p.interval))
+        signals = [p.response, p.trial.angle] if band.angle_imposed else [p.response]
+        rest = slice(p.first, p.first + size)
+        energy = np.zeros(p.response.size)
+        for signal in signals:
+            moved = uniform_filter1d(signal - signal[rest].mean(), size)
+            for part in (moved, np.gradient(moved)):
+                square = uniform_filter1d(part**2, size)
+                energy += square / max(float(square.mean()), 1e-300)
+        by_trial.append(np.where(stands, np.nan, energy))
+    found = [
+        by_trial[trial][span][:: band.every]
+        for span, trial in zip(band.spans, band.trial, strict=True)
+    ]
+    mean = float(np.nanmean(np.concatenate(found)))
+    return [one / max(mean, 1e-300) for one in found]
+
+
+def growing_noise(white: np.ndarray, lively: np.ndarray, most: float) -> tuple[float, float]:
+    """What noise that grows with the motion adds to the log likelihood [nats], and its share.
+
+    Noise of an instrument is there at rest as well. What a model leaves only where the joint moves
+    is not noise, whatever its colour.
+
+    Parameters
+    ----------
+    white : array, shape (n,)
+        Whitened residual, of variance 1 were it noise.
+    lively : array, shape (n,)
+        Of mean 1; NaN for what does not count.
+    most : float
+        Largest share of the variance that may grow.
+    """
+    known = np.isfinite(lively)
+    squares, lively = white[known] ** 2, lively[known]
+    if not squares.size or not squares.any():
+        return 0.0, 0.0
+    shares = most * np.linspace(0.0, 1.0, _SHARES_TRIED)
+    variances = 1 - shares[:, None] + shares[:, None] * lively
+    variances = np.maximum(variances, _LEAST_VARIANCE)
+    level = np.mean(squares / variances, axis=1)
+    cost = 0.5 * np.sum(np.log(variances), axis=1) + 0.5 * squares.size * np.log(level)
+    best = int(np.argmin(cost))
+    return float(cost[0] - cost[best]), float(shares[best])
 
 
 def discrepancy_of(evaluator: Evaluator, best: Evaluated) -> Discrepancy:
@@ -292,11 +405,15 @@ def discrepancy_of(evaluator: Evaluator, best: Evaluated) -> Discrepancy:
 def _reduced(term: Term) -> list[np.ndarray]:
     """A term's columns by trial, at its first guess of shape, in its largest directions."""
     root = term.roots(term.start)[0]
-    columns = [c @ root for c in term.columns]
+    return _largest([c @ root for c in term.columns], _MOST_COLUMNS)
+
+
+def _largest(columns: Sequence[np.ndarray], most: int) -> list[np.ndarray]:
+    """Columns of all trials or stretches in their largest directions, so many at most."""
     gram = sum(c.T @ c for c in columns)
     eigenvalues, vectors = np.linalg.eigh(gram)
     kept = eigenvalues > _NEGLIGIBLE**2 * max(eigenvalues[-1], 1e-300)
-    kept[: max(0, kept.size - _MOST_COLUMNS)] = False
+    kept[: max(0, kept.size - most)] = False
     return [c @ vectors[:, kept] for c in columns]
 
 

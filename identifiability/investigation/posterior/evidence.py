@@ -109,6 +109,8 @@ class Evaluated:
         Whitened residual.
     raw : list of array
         By stretch, the residual and its derivatives.
+    beyond : float
+        How much more probable [nats] values beyond the bounds of its effects would make it.
     """
 
     model: Model
@@ -123,6 +125,7 @@ class Evaluated:
     gradient: np.ndarray
     white: np.ndarray
     raw: list[np.ndarray]
+    beyond: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,7 +222,7 @@ class Evaluator:
         precision = information + np.diag([p.sd**-2 for p in priors])
         at_lower, at_upper = touching(x, problem.lower, problem.upper)
         at_bound = at_lower | at_upper
-        volume, inside = _log_volume(precision, gradient, at_bound)
+        volume, inside, gains = _log_volume(precision, gradient, at_bound)
         order = weights.n_parameters
         n = self.band.n_samples
         log_evidence = (
@@ -243,7 +246,20 @@ class Evaluator:
             gradient[inside],
             residual,
             raw,
+            max([0.0, *(gain for i, gain in gains.items() if self._limits(problem, i))]),
         )
+
+    @staticmethod
+    def _limits(problem: Problem, i: int) -> bool:
+        """Whether the bound that a parameter lies at is one of physiology.
+
+        Not that of K, B or I, not where the effect vanishes, and not a form's own end.
+        """
+        name = problem.names[i]
+        parameter = problem.model.parameters[name]
+        if name in ("K", "B", "I") or parameter.plain is not None:
+            return False
+        return parameter.null is None
 
     def priors(self, problem: Problem, x: np.ndarray) -> list[Prior]:
         """Priors of the free parameters, by what a unit of each adds to the response at a point."""
@@ -295,7 +311,7 @@ def evaluator_of(band: Band, values: Mapping[str, float], *, seed: int = 1) -> E
         reference = replace(reference, joint=problem.complete(x)[:3])
         raw, _ = raw_residuals(problem, band, x)
         weights = reference.weights(raw, tried)
-        weighed = Weighed(reference.probe_problem or problem, band, weights)
+        weighed = Weighed(reference.probe_problem or problem, band, weights, True)
         before, x = x, explore(weighed, x[None], evaluations=2 * _EVALUATIONS).values
         # The order is chosen at the start and once more, then kept.
         tried = every if rounds == 0 else weights.contenders[:1]
@@ -317,7 +333,7 @@ def evaluator_of(band: Band, values: Mapping[str, float], *, seed: int = 1) -> E
 
 def _log_volume(
     precision: np.ndarray, gradient: np.ndarray, at_bound: np.ndarray
-) -> tuple[float, np.ndarray]:
+) -> tuple[float, np.ndarray, dict[int, float]]:
     """Logarithm of the integral of the posterior about its mode, over its height there.
 
     Normal in the coordinates inside their bounds; in one at a bound the part of a normal that lies
@@ -328,6 +344,8 @@ def _log_volume(
     float
     array of int
         Coordinates inside.
+    dict of int to float
+        Of those at a bound, how much higher [nats] the posterior would be beyond it.
     """
     inside = np.flatnonzero(~at_bound)
     size = np.sqrt(np.abs(np.diag(precision)))
@@ -336,12 +354,14 @@ def _log_volume(
     eigenvalues = np.maximum(np.linalg.eigvalsh(block), _LEAST_EIGENVALUE)
     total = 0.5 * inside.size * np.log(2 * np.pi)
     total -= 0.5 * float(np.sum(np.log(eigenvalues))) + float(np.sum(np.log(size[inside])))
+    gains = {}
     for i in np.flatnonzero(at_bound):
         # What the others take over when this one moves inside.
         taken = scaled[i, inside]
         others = np.linalg.lstsq(block, taken, rcond=1e-10)[0] if inside.size else np.zeros(0)
         curvature = max(float(1 - taken @ others), _LEAST_EIGENVALUE) * size[i] ** 2
         slope = abs(gradient[i]) / np.sqrt(2 * curvature)
+        gains[int(i)] = float(slope**2)
         total += 0.5 * np.log(np.pi / (2 * curvature))
         total += float(np.log(max(scipy.special.erfcx(min(slope, 1e8)), 1e-300)))
-    return total, inside
+    return total, inside, gains

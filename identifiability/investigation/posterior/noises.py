@@ -33,9 +33,10 @@ from identifiability.investigation.posterior.band import Band
 from identifiability.joint.model import Model
 
 _CEILING = 6.0  # of what probes take off, so that the rest of the sum of squares stays positive
-# What is taken off a model with effects, over what is taken off K, B and I, at most: one that
-# resonates would amplify the probes where by chance the noise itself is weak.
-_MOST_TAKEN = 1.1
+# What is taken off a model that is weighed, beyond what is taken off the reference, at most: a
+# share of that and of the samples. One that resonates would amplify the probes where by chance the
+# noise itself is weak.
+_MOST_MORE = 0.1
 _HUGE = 1e30  # stands for a response without bound
 _PROBE = 1e-4  # size over the angle's: small, so that no model is moved out of its linear range
 _NO_EXCESS = 1e-6  # sum of squares that is none
@@ -119,11 +120,14 @@ class Weighed:
         Of the band's observations, then of its probes where there are any.
     band : Band
     weights : Weights
+    finds_reference : bool
+        Whether this is K, B and I, sought from a start that noise of the angle made too small.
     """
 
     problem: Problem
     band: Band
     weights: Weights
+    finds_reference: bool = False
     _last: local = field(default_factory=local, init=False, repr=False)
 
     @property
@@ -170,7 +174,9 @@ class Weighed:
     def most_taken(self) -> float:
         """Most that is taken off the sum of squares for noise of the angle."""
         excess = max(self.weights.excess, _NO_EXCESS)
-        return (_MOST_TAKEN if self.model.effects else 0.9 * _CEILING) * excess
+        if self.finds_reference:
+            return 0.9 * _CEILING * excess
+        return excess + _MOST_MORE * min(excess, self.band.n_samples)
 
     def residuals(self, x: np.ndarray) -> np.ndarray:
         """Whitened residuals; with probes one more, less the larger the noise's share is."""
@@ -266,6 +272,10 @@ class Reference:
             for columns, trial in zip(raw, self.band.trial, strict=True)
         ]
         estimate, best = estimate_noise(stretches, self.carried, tried)
+        known = self.band.angle_noise
+        if self.band.angle_imposed and estimate.carried_sd < known:
+            # The residual tells the two noises apart by colour alone, and may miss this one.
+            estimate = replace(estimate, carried=replace(self.carried, sd=known))
         weights = Weights(self.band, estimate, best)
         if self.probe_problem is None:
             return weights

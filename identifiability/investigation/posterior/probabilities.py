@@ -23,10 +23,13 @@ from identifiability.investigation.posterior.discrepancy import (
 )
 from identifiability.investigation.posterior.evidence import Evaluated, Evaluator
 
+Keys = tuple[str, ...]
+
 _FORM = 0.1  # share of what its effects do, that a model's equations may be wrong by
 _CONTENDS = 12.0  # nats that a set may be behind, for a discrepancy to be put beside it
 _MOST_BESIDE, _BEST_OF_SIZE = 6, 2
 _LOST = 60.0  # nats behind the best from which a set is not fitted any further
+_SURE = 3.0  # nats by which values that no joint has must be better, to count
 _SAME = 0.5  # nats by which two discrepancies of one size may differ
 
 
@@ -127,6 +130,12 @@ class Probabilities:
         return tuple(out)
 
 
+def _moved(one: Evaluated, other: Evaluated) -> float:
+    """Root mean square [rad or Nm] of the difference of two models' predictions."""
+    moved = [a[:, 0] - b[:, 0] for a, b in zip(one.raw, other.raw, strict=True)]
+    return float(np.sqrt(np.mean(np.concatenate(moved) ** 2)))
+
+
 def _matched(effects: Sequence[str], sets: Sequence[set[str]]) -> bool:
     """Whether every set can be given an effect of its own."""
     if not sets:
@@ -150,8 +159,8 @@ class Weighing:
 
     evaluator: Evaluator
     n_library: int
-    found: dict[tuple[str, ...], Evaluated] = field(default_factory=dict)
-    candidates: dict[tuple[str, ...], Candidate] = field(default_factory=dict)
+    found: dict[Keys, Evaluated] = field(default_factory=dict)
+    candidates: dict[Keys, Candidate] = field(default_factory=dict)
     failures: dict[str, str] = field(default_factory=dict)
 
     def weigh(self, candidate: Candidate, base: Sequence[str] = ()) -> Evaluated | None:
@@ -191,20 +200,27 @@ class Weighing:
         """Of one set of so many effects, the unknown counted as one of the library."""
         return -log(comb(self.n_library + 1, min(n_effects, self.n_library + 1)))
 
+    def score(self, keys: Keys) -> float:
+        """Log evidence and log prior [nats] of a set whose equations are exact."""
+        return self.found[keys].log_evidence + self.log_prior(len(keys))
+
     def posterior(self) -> Probabilities:
         """Probabilities of all that was weighed."""
-        ranked = sorted(
-            self.found, key=lambda keys: -self.found[keys].log_evidence - self.log_prior(len(keys))
-        )
+        ranked = sorted(self.found, key=lambda keys: -self.score(keys))
         best = self.found[ranked[0]]
         discrepancies = discrepancy_of(self.evaluator, best)
-        exact = {k: f.log_evidence + self.log_prior(len(k)) for k, f in self.found.items()}
-        named, unknown, beside = dict(exact), dict[tuple[str, ...], float](), {}
+        exact = {k: self.score(k) for k in self.found}
+        unknown, beside = dict[Keys, float](), dict[Keys, Discrepant]()
+        inexact: dict[Keys, list[float]] = {k: [] for k in self.found}
         near = [k for k in ranked if exact[k] > exact[ranked[0]] - _CONTENDS][:_MOST_BESIDE]
         # The best of every size too: inexact equations may make up for an effect more.
         for n in sorted({len(keys) for keys in ranked}):
             near += [keys for keys in ranked if len(keys) == n][:_BEST_OF_SIZE]
         for keys in dict.fromkeys(near):
+            if self.found[keys].beyond > _SURE:
+                # The same effects with values that no joint has are none of these.
+                more = self.found[keys].log_evidence + self.found[keys].beyond
+                unknown[keys] = more + self.log_prior(len(keys) + 1)
             one = self._beside(discrepancies, keys)
             if one is None:
                 continue
@@ -214,11 +230,11 @@ class Weighing:
                 continue  # a discrepancy of no size is none
             # One that the equations' error explains is not something unknown besides.
             if form is None or form.log_evidence < free.log_evidence - _SAME:
-                unknown[keys] = free.log_evidence + self.log_prior(len(keys) + 1)
+                besides = free.log_evidence + self.log_prior(len(keys) + 1)
+                unknown[keys] = max(besides, unknown.get(keys, -np.inf))
             if form is not None:
-                # As probable as that the equations are exact.
-                both = np.logaddexp(exact[keys], form.log_evidence + self.log_prior(len(keys)))
-                named[keys] = float(both) - log(2)
+                inexact[keys].append(form.log_evidence)
+        named = self._named(inexact)
         top = max([*named.values(), *unknown.values()])
         weights = {k: np.exp(v - top) for k, v in named.items()}
         of_unknown = {k: np.exp(v - top) for k, v in unknown.items()}
@@ -252,18 +268,40 @@ class Weighing:
             dict(self.failures),
         )
 
+    def _named(
+        self, inexact: Mapping[tuple[str, ...], list[float]]
+    ) -> dict[tuple[str, ...], float]:
+        """Log of what is proportional to the probability of each set, its equations exact or not.
+
+        Equations that are wrong by so little as `_FORM` may be mended by an effect that is not
+        there: then a set and the same with that effect are both what the data would look like.
+        """
+        every = self.n_library + 1
+        found: dict[Keys, float] = {}
+        for keys in sorted(self.found, key=len, reverse=True):
+            exact, mended = self.found[keys].log_evidence, list(inexact.get(keys, ()))
+            for more, value in list(found.items()):
+                if len(more) == len(keys) + 1 and set(keys) < set(more) and self._mends(keys, more):
+                    mended.append(value - log(every))
+            # As probable as that the equations are exact.
+            found[keys] = float(np.logaddexp.reduce([exact, *mended])) - log(2) * bool(mended)
+        return {keys: value + self.log_prior(len(keys)) for keys, value in found.items()}
+
+    def _mends(self, keys: Keys, more: Keys) -> bool:
+        """Whether one effect more does no more than the error of a set's equations may be."""
+        fewer, richer = self.found[keys], self.found[more]
+        return _moved(fewer, richer) <= _FORM * self._explained(fewer)
+
     def _explained(self, found: Evaluated) -> float:
         """What effects explain: root mean square by which the prediction moves because of them.
 
         From that of K, B and I alone, so that what K, B and I do as well, and effects that cancel
         each other, do not count.
         """
-        plain = np.concatenate([raw[:, 0] for raw in self.found[()].raw])
-        moved = plain - np.concatenate([raw[:, 0] for raw in found.raw])
-        return float(np.sqrt(np.mean(moved**2)))
+        return _moved(self.found[()], found)
 
     def _beside(
-        self, discrepancies: Discrepancy, keys: tuple[str, ...]
+        self, discrepancies: Discrepancy, keys: Keys
     ) -> tuple[Discrepant, Discrepant | None] | None:
         """A set with any discrepancy, and with one that its equations' error explains."""
         found = self.found[keys]

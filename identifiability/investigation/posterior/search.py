@@ -3,30 +3,31 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-
-import numpy as np
+from dataclasses import dataclass, field
 
 from identifiability.errors import InputError
 from identifiability.investigation.fits.candidate import Candidate
 from identifiability.investigation.posterior.evidence import Evaluator
-from identifiability.investigation.posterior.probabilities import Probabilities, Weighing
+from identifiability.investigation.posterior.probabilities import Keys, Probabilities, Weighing
 from identifiability.investigation.search.fitter import refinable
 from identifiability.investigation.search.ranking import Ranker
 
-_NEARER = 0.3  # share of what named sets were behind the unknown, that one effect more may leave
-_ENOUGH = 0.05  # probability of "none of these" below which nothing more is looked for
-_FRONTIER, _REFINED = 1, 3  # sets that are enlarged, and that are refined, at most
+_BETTER = 0.0  # nats by which one effect more has to be more probable, for another to be tried
+_REFINED = 3  # sets of one size that are refined, at most
 _WORTH_REFINING = 3.0  # nats before K, B and I alone
-_BEHIND = 60.0  # nats behind the best from which a set is not enlarged
+_BEHIND = 60.0  # nats behind the best of its size, from which a set is not refined
+_NEAR = 12.0  # nats behind the best single effect, within which another is enlarged too
+_EXCHANGED = 2  # effects up to which each is tried without the one that was found before it
 
 
 def weigh(ranker: Ranker, evaluator: Evaluator, baseline: Candidate, most: int) -> Probabilities:
     """Weigh the sets of effects that may be missing.
 
-    All single effects are, the most probable ones refined too; where something is still missing
-    beside all of them the most probable is enlarged by every effect whose signature is in what it
-    leaves.
+    All single effects are, the most probable ones refined too. The most probable set is enlarged by
+    every effect whose signature is in what it leaves, for as long as that makes it more probable; so
+    is a single effect that comes near.
+    What was added last may be what was missing all along, and what was found before it a poor
+    picture of it: of a pair, both are enlarged.
 
     Parameters
     ----------
@@ -47,69 +48,93 @@ def weigh(ranker: Ranker, evaluator: Evaluator, baseline: Candidate, most: int) 
     search.add("K, B and I", [baseline])
     if () not in search.weighing.found:
         raise InputError(f"the model to start from has no evidence: {search.weighing.failures['']}")
-    frontier: Sequence[Candidate] = [baseline]
-    posterior, behind = None, np.inf
-    for _ in range(most):
-        for current in frontier:
-            search.enlarge(current)
-        search.refine(frontier)
-        posterior = search.weighing.posterior()
-        # What is unknown stays so with more effects, unless each brings the named nearer to it.
-        before, behind = behind, posterior.behind
-        if posterior.none_of_these <= _ENOUGH or behind > _NEARER * before:
+    search.enlarge(())
+    for size in range(2, most + 1):
+        before = search.best(size - 1)
+        if before is None or not search.improves(before):
             break
-        frontier = search.frontier(frontier)
-    return search.weighing.posterior() if posterior is None else posterior
+        for keys in search.contenders(size - 1):
+            search.enlarge(keys)
+        for _ in range(size if size <= _EXCHANGED else 0):
+            found = search.best(size)
+            left = search.not_enlarged(found) if found is not None else None
+            if left is None:
+                break
+            search.enlarge(left)
+    return search.weighing.posterior()
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class _Search:
     ranker: Ranker
     weighing: Weighing
     baseline: Candidate
-
-    def _keys(self, candidate: Candidate) -> tuple[str, ...]:
-        return tuple(sorted(k for k in candidate.keys if k not in self.baseline.keys))
+    enlarged: list[Keys] = field(default_factory=list)
+    refined: set[Keys] = field(default_factory=set)
 
     def add(self, what: str, candidates: Sequence[Candidate]) -> None:
         for i, candidate in enumerate(candidates):
             self.ranker.progress(f"weighing {what}", i, len(candidates))
             self.weighing.weigh(candidate, self.baseline.keys)
 
-    def enlarge(self, current: Candidate) -> None:
-        """Add every effect to a set whose signature is in what it leaves."""
-        named = " + ".join(["K, B, I", *self._keys(current)])
-        keys = self.ranker.screen(
-            [k for k in self.ranker.library if k not in current.keys], current
+    def enlarge(self, keys: Keys) -> None:
+        """Add every effect to a set whose signature is in what it leaves; refine the best."""
+        self.enlarged.append(keys)
+        current = self.weighing.candidates[keys]
+        named = " + ".join(["K, B, I", *keys])
+        fitted = self.ranker.screen(
+            [
+                k
+                for k in self.ranker.library
+                if k not in current.keys and tuple(sorted((*keys, k))) not in self.weighing.found
+            ],
+            current,
         )
-        jobs = [(current.model + self.ranker.library[key](), key) for key in keys]
-        fitted = self.ranker.fit_all(f"adding to {named}", jobs, current)
-        self.add(f"what may be added to {named}", [c for _, c in fitted])
+        jobs = [(current.model + self.ranker.library[key](), key) for key in fitted]
+        found = self.ranker.fit_all(f"adding to {named}", jobs, current)
+        self.add(f"what may be added to {named}", [c for _, c in found])
+        self._refine(len(keys) + 1)
 
-    def refine(self, frontier: Sequence[Candidate]) -> None:
-        """Free the refining parameters of the best of the last sets."""
-        nothing = self.weighing.found[()].log_evidence
-        for keys in self._best(self._size(frontier), _REFINED):
-            if self.weighing.found[keys].log_evidence < nothing + _WORTH_REFINING:
-                continue
+    def _refine(self, size: int) -> None:
+        """Free the refining parameters of the best sets of a size."""
+        found = self.weighing.found
+        ranked = self._ranked(size)[:_REFINED]
+        for keys in ranked:
+            behind = found[ranked[0]].log_evidence - found[keys].log_evidence
+            gain = found[keys].log_evidence - found[()].log_evidence
             plain = self.weighing.candidates[keys]
+            if keys in self.refined or behind > _BEHIND or gain < _WORTH_REFINING:
+                continue
+            self.refined.add(keys)
             for key in keys:
                 if refinable(plain, key):
                     richer = self.ranker.fitter.refine(plain, (*plain.refined, key))
                     self.add(f"{key}, refined", [richer])
 
-    def frontier(self, before: Sequence[Candidate]) -> list[Candidate]:
-        """Sets of the size that was just reached, to be enlarged next."""
+    def _ranked(self, size: int) -> list[Keys]:
+        """Sets of a size, the best first."""
+        sets = [keys for keys in self.weighing.found if len(keys) == size]
+        return sorted(sets, key=lambda keys: -self.weighing.found[keys].log_evidence)
+
+    def best(self, size: int) -> Keys | None:
+        """Best set of a size."""
+        return next(iter(self._ranked(size)), None)
+
+    def contenders(self, size: int) -> list[Keys]:
+        """Sets of a size to be enlarged: the best, and a single effect that comes near."""
+        ranked, found = self._ranked(size), self.weighing.found
+        least = found[ranked[0]].log_evidence - _NEAR
         return [
-            self.weighing.candidates[keys] for keys in self._best(self._size(before), _FRONTIER)
+            keys for keys in ranked[: 2 if size == 1 else 1] if found[keys].log_evidence > least
         ]
 
-    def _size(self, before: Sequence[Candidate]) -> int:
-        return 1 + max((len(self._keys(c)) for c in before), default=0)
+    def improves(self, keys: Keys) -> bool:
+        """Whether a set is more probable than the best with one effect less."""
+        smaller = self._ranked(len(keys) - 1)[0]
+        score = self.weighing.score
+        return score(keys) > score(smaller) + _BETTER
 
-    def _best(self, size: int, n: int) -> list[tuple[str, ...]]:
-        found = self.weighing.found
-        sets = [k for k in self.weighing.candidates if len(k) == size]
-        ranked = sorted(sets, key=lambda k: -found[k].log_evidence)
-        top = found[ranked[0]].log_evidence if ranked else -np.inf
-        return [k for k in ranked[:n] if found[k].log_evidence > top - _BEHIND]
+    def not_enlarged(self, keys: Keys) -> Keys | None:
+        """Rest of a set without one of its effects that has not been enlarged itself."""
+        rests = [tuple(k for k in keys if k != key) for key in keys]
+        return next((r for r in rests if r in self.weighing.found and r not in self.enlarged), None)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import jax.numpy as jnp
 from jax import Array
@@ -15,17 +15,20 @@ from identifiability.joint.parameters import Parameter
 class ActivationLag(Effect):
     r"""Feedback of the angle through first-order activation dynamics, without delay.
 
-    .. math:: T = G\,a, \qquad \dot a = (\theta - a) / \tau
+    Each muscle of an antagonist pair answers its own stretch:
 
-    The same form as a Maxwell branch with the opposite sign: stiffness that builds up instead of
-    relaxing. It vanishes with G = 0.
+    .. math:: T = a_+ - a_-, \qquad \tau_\pm \dot a_\pm = G \max(\pm\theta, 0) - a_\pm
+
+    with a longer time constant where activation falls than where it rises. In its plain form, as
+    fast off as on, this is linear, and the same as a Maxwell branch with the opposite sign:
+    stiffness that builds up instead of relaxing. It vanishes with G = 0.
     """
 
     key = "activation_lag"
     title = "a stiffness that builds up with activation"
     place = "joint"
-    linear = True
-    n_states = 1
+    linear = False
+    n_states = 2
     confused_with = ("maxwell_branch", "stretch_reflex", "second_mass")
     parameters = (
         Parameter(
@@ -47,15 +50,37 @@ class ActivationLag(Effect):
             upper=1.0,
             description="time constant of activation",
         ),
+        Parameter(
+            "off_ratio",
+            r"\rho_a",
+            "1",
+            nominal=1.0,
+            lower=1.0,
+            upper=6.0,
+            plain=1.0,
+            description="time constant of deactivation over that of activation",
+        ),
     )
-    references = ("Zajac 1989, Crit Rev Biomed Eng 17: 359-411 (activation dynamics)",)
+    references = (
+        "Zajac 1989, Crit Rev Biomed Eng 17: 359-411 (activation dynamics)",
+        "Thelen 2003, J Biomech Eng 125: 70-77 (activation and deactivation)",
+    )
 
     def torque(
         self, p: Sequence[Array], motion: Motion, states: Array, delayed: Motion
     ) -> ArrayLike:
-        """Torque [Nm] of the activated muscle."""
-        return p[0] * states[0]
+        """Torque [Nm] of the activated muscles, their difference."""
+        return states[0] - states[1]
 
     def rates(self, p: Sequence[Array], motion: Motion, states: Array, delayed: Motion) -> Array:
-        """Activation follows the angle."""
-        return jnp.reshape((motion.angle - states[0]) / p[1], (1,))
+        """Activation follows the stretch."""
+        gain, tau, ratio = p
+        angle = jnp.asarray(motion.angle)
+        stretch = jnp.stack([jnp.maximum(angle, 0.0), jnp.maximum(-angle, 0.0)])
+        gap = gain * stretch - states
+        return gap / jnp.where(gap > 0, tau, tau * ratio)
+
+    def pace(self, values: Mapping[str, float]) -> float:
+        """Difference between the rates of activation and deactivation."""
+        ratio = values[f"{self.key}.off_ratio"]
+        return (1 - 1 / ratio) / values[f"{self.key}.time_constant"]
