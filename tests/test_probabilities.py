@@ -17,11 +17,20 @@ from identifiability.benchmark.effects import (
 from identifiability.benchmark.joints import Joint
 from identifiability.benchmark.motion import Motion, reaction
 from identifiability.benchmark.unknowns import TimeVaryingStiffness
+from identifiability.errors import InputError
 from identifiability.investigation.posterior.band import Band, band_of
-from identifiability.investigation.posterior.discrepancy import discrepancy_of
-from identifiability.investigation.posterior.evidence import _log_volume, evaluator_of
+from identifiability.investigation.posterior.discrepancy import discrepancy_of, growing_noise
+from identifiability.investigation.posterior.evidence import (
+    Evaluated,
+    _log_volume,
+    evaluator_of,
+)
 from identifiability.investigation.posterior.noises import Weighed
-from identifiability.investigation.posterior.probabilities import Probabilities, SetProbability
+from identifiability.investigation.posterior.probabilities import (
+    Probabilities,
+    SetProbability,
+    Weighing,
+)
 from identifiability.investigation.session import Investigation
 from identifiability.investigation.verdict.by_probability import by_probability, claim_of
 from identifiability.investigation.verdict.judge import Verdict
@@ -31,6 +40,7 @@ from identifiability.investigation.wording.verdict import _reason
 from identifiability.joint.effects import EFFECTS
 from identifiability.joint.model import KBI
 from identifiability.joint.response import simulate
+from identifiability.measurement.filtering import known_noise
 from identifiability.measurement.perturbations import imposed_motion
 from identifiability.measurement.prepared import prepare_whole_band
 from identifiability.measurement.splitting import hold_out
@@ -142,8 +152,9 @@ def test_blind_cases_are_drawn_alike_by_alike_seeds():
 
 def test_the_volume_about_a_mode_is_that_of_quadrature():
     precision = np.array([[9.0, 3.0], [3.0, 4.0]])
-    inside, _ = _log_volume(precision, np.zeros(2), np.zeros(2, bool))
+    inside, _, none = _log_volume(precision, np.zeros(2), np.zeros(2, bool))
     assert inside == pytest.approx(np.log(2 * np.pi / np.sqrt(np.linalg.det(precision))))
+    assert none == {}
     slope = 1.7  # of the first, at its lower bound 0
 
     def density(y, x):
@@ -151,9 +162,13 @@ def test_the_volume_about_a_mode_is_that_of_quadrature():
         return np.exp(-0.5 * at @ precision @ at - slope * x)
 
     exact, _ = integrate.dblquad(density, 0, 6, -8, 8)
-    found, kept = _log_volume(precision, np.array([slope, 0.0]), np.array([True, False]))
+    found, kept, gains = _log_volume(precision, np.array([slope, 0.0]), np.array([True, False]))
     assert found == pytest.approx(np.log(exact), abs=1e-4)
     assert list(kept) == [1]
+    # Beyond the bound, with the other where it then is best.
+    best = -np.linalg.solve(precision, [slope, 0.0])
+    assert best[0] < 0
+    assert gains[0] == pytest.approx(-0.5 * best @ precision @ best - slope * best[0])
 
 
 @pytest.mark.parametrize(
@@ -252,6 +267,96 @@ def test_a_torque_that_nothing_names_is_found_and_noise_is_not():
     gain, beside = probabilities_with(swing, torque_sd=0.05)
     assert gain > 20
     assert beside.kind == "varying"
+
+
+def test_parameters_that_differ_between_trials_are_something_unknown():
+    stiffer = replace(ANATOMY, passive_stiffness=2 * ANATOMY.passive_stiffness)
+    pair = [
+        servo_trials(Joint(a), torque_sd=0.05, seed=i, n=3)
+        for i, a in enumerate((ANATOMY, stiffer))
+    ]
+    gains = {}
+    for label, trials in (("alike", pair[0]), ("different", pair[0] + pair[1])):
+        evaluator = evaluator_for(trials)
+        plain = evaluator.evaluate(KBI(), START)
+        beside = discrepancy_of(evaluator, plain).beside(plain)
+        gains[label] = beside.log_evidence - plain.log_evidence
+    assert gains["alike"] < 1
+    assert gains["different"] > 20
+    assert beside.kind == "inconstant"
+
+
+def test_noise_is_there_at_rest_as_well():
+    random = np.random.default_rng(2)
+    motion = np.repeat([0.0, 2.0], 300)
+    gains = [growing_noise(random.standard_normal(600), motion, 1.0)[0] for _ in range(200)]
+    # Twice the gain is at most chi-squared of one degree of freedom: two standard errors above.
+    assert np.mean(np.array(gains) > 1.92) < 0.05 + 2 * np.sqrt(0.05 * 0.95 / 200)
+    gain, share = growing_noise(random.standard_normal(600) * (0.3 + motion), motion, 1.0)
+    assert gain > 100
+    assert share > 0.8
+    # No more than it may grow; and what is left where a rounded angle stands says nothing.
+    assert growing_noise(random.standard_normal(600) * (0.3 + motion), motion, 0.1)[1] <= 0.1
+    still = np.where(motion > 0, 1.0, np.nan)
+    assert growing_noise(random.standard_normal(600) * (0.3 + motion), still, 1.0)[0] == 0
+
+
+def test_a_rounded_angle_stands_still_at_rest_and_does_not_in_motion():
+    step = 1e-3
+    trials = [
+        replace(t, angle=step * np.round(t.angle / step))
+        for t in servo_trials(Joint(ANATOMY), torque_sd=0.01, n=2)
+    ]
+    band = band_of(trials, ())
+    assert band.step == pytest.approx(step)
+    before = [p.trial.time < 0.08 for p in band.prepared]
+    assert all(s[at].all() for s, at in zip(band.stands, before, strict=True))
+    assert all(s.mean() < 0.6 for s in band.stands)
+    assert not any(s.any() for s in band_of(servo_trials(Joint(ANATOMY), n=2), ()).stands)
+
+
+@pytest.mark.parametrize(("rounded", "expected"), [(True, 1e-3 / np.sqrt(12)), (False, 4e-4)])
+def test_noise_of_the_angle_is_known_from_its_steps_or_its_floor(rounded, expected):
+    random = np.random.default_rng(4)
+    time = np.arange(4000) / 500
+    smooth = 0.3 * np.sin(2 * np.pi * 1.1 * time) + 0.1 * np.sin(2 * np.pi * 2.3 * time)
+    noisy = smooth + 4e-4 * random.standard_normal(time.size)
+    angle = 1e-3 * np.round(smooth / 1e-3) if rounded else noisy
+    trial = Trial(time, 5 * smooth, angle, driven="angle", name="noisy")
+    assert known_noise([trial]) == pytest.approx(expected, rel=0.1)
+    assert known_noise([replace(trial, angle=smooth)]) < 1e-6
+
+
+def test_trials_of_several_rates_are_brought_to_the_lowest():
+    slow, fast = (servo_trials(Joint(ANATOMY), n=1, rate=r)[0] for r in (250, 500))
+    band = band_of([slow, fast], ())
+    assert len({p.trial.n_samples for p in band.prepared}) == 1
+    with pytest.raises(InputError, match=r"multiples of one; resample them"):
+        band_of([slow, servo_trials(Joint(ANATOMY), n=1, rate=330)[0]], ())
+
+
+def weighing_of(moved, log_evidence):
+    """Sets with these predictions and evidence, and nothing else."""
+    found = {
+        keys: Evaluated(
+            KBI(), {}, (), None, np.zeros(3), None, value, None, None, None, None,
+            [np.asarray(moved[keys], float)[:, None]],
+        )
+        for keys, value in log_evidence.items()
+    }  # fmt: skip
+    return Weighing(None, 15, found)
+
+
+@pytest.mark.parametrize(("added", "sure"), [(0.05, False), (0.5, True)])
+def test_a_small_second_effect_may_only_mend_the_equations_of_the_first(added, sure):
+    """Up to a tenth of what the first explains, both are probable; beyond it one is."""
+    none, one = np.zeros(4), np.array([1.0, -1.0, 1.0, -1.0])
+    both = one + added * np.array([1.0, 1.0, -1.0, -1.0])
+    keys = {(): none, ("gravity",): one, ("gravity", "second_mass"): both}
+    weighing = weighing_of(keys, dict(zip(keys, (0.0, 100.0, 150.0), strict=True)))
+    named = weighing._named({})
+    odds = np.exp(named["gravity", "second_mass"] - named["gravity",])
+    assert odds > 1e6 if sure else 1 < odds < 10
 
 
 # Claims

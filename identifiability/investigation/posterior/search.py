@@ -24,8 +24,8 @@ def weigh(ranker: Ranker, evaluator: Evaluator, baseline: Candidate, most: int) 
     """Weigh the sets of effects that may be missing.
 
     All single effects are, the most probable ones refined too. The most probable set is enlarged by
-    every effect whose signature is in what it leaves, for as long as that makes it more probable; so
-    is a single effect that comes near.
+    every effect whose signature is in what it leaves, for as long as that makes it more probable;
+    so is a single effect that comes near.
     What was added last may be what was missing all along, and what was found before it a poor
     picture of it: of a pair, both are enlarged.
 
