@@ -185,7 +185,7 @@ def test_laplace_agrees_with_sampling(key, hidden):
     evaluator = evaluator_for(servo_trials(Joint(ANATOMY, (hidden,)), torque_sd=0.1, n=4))
     model = KBI() + EFFECTS[key]()
     start = dict(zip(model.parameter_names, model.nominal, strict=True)) | START
-    found = evaluator.evaluate(model, start)
+    found = evaluator.evaluate(model, [start])
     problem = evaluator.band.problem(model, scheme=found.scheme, probes=evaluator.reference.probes)
     weighed = Weighed(problem, evaluator.band, found.weights)
     priors = evaluator.priors(problem, found.x)
@@ -241,8 +241,8 @@ def test_noise_of_an_imposed_angle_does_not_pass_for_an_effect(key):
             Joint(ANATOMY), torque_sd=0.1, angle_sd=3e-4, seed=seed, n=8, rate=200, pace=60.0
         )
         for evaluator, out in ((evaluator_for(trials), own), (whole_band(trials), uncorrected)):
-            plain = evaluator.evaluate(KBI(), START)
-            other = evaluator.evaluate(model, start | plain.values)
+            plain = evaluator.evaluate(KBI(), [START])
+            other = evaluator.evaluate(model, [start | plain.values])
             out.append(other.log_evidence - plain.log_evidence)
     assert max(own) < 3
     assert min(uncorrected) > 10
@@ -254,7 +254,7 @@ def test_noise_of_an_imposed_angle_does_not_pass_for_an_effect(key):
 def probabilities_with(joint, **noise):
     """What the discrepancy beside K, B and I adds to their evidence, and its kind."""
     evaluator = evaluator_for(servo_trials(joint, **noise))
-    plain = evaluator.evaluate(KBI(), START)
+    plain = evaluator.evaluate(KBI(), [START])
     beside = discrepancy_of(evaluator, plain).beside(plain)
     return beside.log_evidence - plain.log_evidence, beside
 
@@ -278,7 +278,7 @@ def test_parameters_that_differ_between_trials_are_something_unknown():
     gains = {}
     for label, trials in (("alike", pair[0]), ("different", pair[0] + pair[1])):
         evaluator = evaluator_for(trials)
-        plain = evaluator.evaluate(KBI(), START)
+        plain = evaluator.evaluate(KBI(), [START])
         beside = discrepancy_of(evaluator, plain).beside(plain)
         gains[label] = beside.log_evidence - plain.log_evidence
     assert gains["alike"] < 1

@@ -22,8 +22,8 @@ HIDDEN = {
 }
 NEAR = 1e-4  # of the response: what two forms of one response differ by, once fitted
 APART = 2e-3
-# What mimics what, in any joint. A tendon is a Maxwell branch without damping beside it (Fung 1993,
-# ch. 2). A mass that hangs by a dashpot alone is a stiffness that arrives late, beside a stiffer and
+# What mimics what, in any joint. A tendon is a Maxwell branch without damping beside it (Fung,
+# ch. 2). A mass on a dashpot alone is a stiffness that arrives late, beside a stiffer and
 # less damped joint: no form of its own, but a limit that probabilities have to tell apart.
 MIMICS = {("maxwell_branch", "series_tendon"), ("second_mass", "activation_lag")}
 

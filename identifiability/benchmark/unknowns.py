@@ -313,9 +313,9 @@ class CoggingTorque(TorqueEffect):
 
     @classmethod
     def draw(cls, rng: np.random.Generator, anatomy: Anatomy, form: str) -> Self:
-        """Draw teeth 0.03 to 0.08 rad apart, as steep as 0.3 to 0.8 of the joint's stiffness."""
-        pitch = rng.uniform(0.03, 0.08)
-        steep = rng.uniform(0.3, 0.8) * anatomy.stiffness
+        """Draw teeth 0.06 to 0.15 rad apart, as steep as 0.8 to 2 times the joint's stiffness."""
+        pitch = rng.uniform(0.06, 0.15)
+        steep = rng.uniform(0.8, 2.0) * anatomy.stiffness
         return cls(steep * pitch / (2.0 * math.pi), pitch)
 
     def scaled(self, size: float) -> Self:

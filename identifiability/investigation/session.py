@@ -159,20 +159,20 @@ class Investigation:
         most : int, optional
             Most effects to add; the rules' number by default.
         posterior : Probabilities, optional
-            What `weigh` gave: what is probable enough is then taken as it is. Without it, or where
-            something unknown is, effects are added, dropped and swapped for as long as the evidence
-            is decisive.
+            What `weigh` gave: what is probable enough is then taken as it is; where something
+            unknown is, the effects beside which it is most probable. Without it effects are added,
+            dropped and swapped for as long as the evidence is decisive.
         """
         if posterior is not None:
             claim = self.claim(posterior)
             final = posterior.candidates.get(tuple(sorted(claim.effects)))
-            if claim.kind in ("effects", "nothing") and final is not None:
+            if final is not None:
                 return found_of(
                     self.bench,
                     self.baseline,
                     self.library,
-                    final,
-                    claim.sets,
+                    self.bench.finish(final),
+                    claim.sets or [(effect,) for effect in claim.effects],
                     progress=self.progress,
                 )
         return search(self.bench, self.baseline, self.library, most=most, progress=self.progress)

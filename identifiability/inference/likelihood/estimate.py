@@ -26,6 +26,8 @@ _MOST_SAMPLES, _CHUNK = 4000, 1000  # from which the colour is estimated
 _LONG_AR = 16  # order of the autoregression whose residuals stand for the shocks
 _MOST_CORRELATED = 5.0  # bound of atanh of a partial autocorrelation
 _SHARES = np.geomspace(1e-6, 1e6, 13)  # of carried to own variance, to start from
+_MOST_CARRIED = 0.5 * np.log(_SHARES[-1]) + 3  # logarithm of carried over own, of deviations
+_HELD_ROUNDS, _AS_KNOWN = 6, 1.02  # of own beside known noise; times what there is of that
 _ITERATIONS = 30
 _STEP, _INSIDE = 1e-5, 1e-3  # of differences; from bounds, to start at
 _HUGE = 1e10  # stands for a noise without likelihood
@@ -135,6 +137,7 @@ def estimate_noise(
     stretches: Sequence[Stretch],
     carried: Process | None,
     tried: Sequence[Contender],
+    known: float = 0.0,
 ) -> tuple[NoiseEstimate, tuple[Contender, ...]]:
     """Estimate the noise of residuals, given the parameters of the model.
 
@@ -146,6 +149,10 @@ def estimate_noise(
         What noise of the other channel with a standard deviation of 1 would add.
     tried : sequence of Contender
         Of which the best by AICc (Hurvich & Tsai 1989, Biometrika 76:297-307) is taken.
+    known : float
+        Standard deviation that noise of the other channel has at least. A residual tells the two
+        noises apart by their colour alone: where less of this one is found, it is held, and the
+        instrument's own is estimated anew beside it.
 
     Returns
     -------
@@ -165,7 +172,9 @@ def estimate_noise(
         quiet = Process(np.ones(1), np.ones(1), 1e-12)
         return NoiseEstimate(quiet, None, np.ones(trials), 0.0, 0, True), tuple(tried)
     scaled = [Stretch(s.residual / scale, s.jacobian, s.trial) for s in stretches]
+    unit = 1.0
     if carried is not None:
+        unit = 1.0 / carried.sd
         carried = Process(carried.ar, carried.ma, 1.0 / np.sqrt(carried.autocovariance(0)[0]))
     chosen = _Sample(_budget(scaled), carried)
     ranked = chosen.ranked(tried)
@@ -186,6 +195,16 @@ def estimate_noise(
             values, _, converged = chosen.fitted(order, values, restricted=True)
     noise = chosen.noise(order, values)
     sd = scale * np.sqrt(_variance(scaled, noise))
+    if known and carried is not None and order.carried:
+        for _ in range(_HELD_ROUNDS):
+            missing = known / (sd * noise.parts[1].sd * unit)
+            if missing < _AS_KNOWN:
+                break
+            # The share that it has of the own noise, which is less the more this one is.
+            values = np.append(values[:-1], min(values[-1] + np.log(missing), _MOST_CARRIED))
+            values, _, converged = chosen.fitted(order, values, restricted=True, held=True)
+            noise = chosen.noise(order, values)
+            sd = scale * np.sqrt(_variance(scaled, noise))
     parts = [Process(part.ar, part.ma, part.sd * sd) for part in noise.parts]
     return (
         NoiseEstimate(
@@ -364,10 +383,15 @@ class _Sample:
         return np.concatenate(parts) * np.exp(0.5 * determinant / freedom), freedom
 
     def fitted(
-        self, order: Order, start: np.ndarray, *, restricted: bool
+        self, order: Order, start: np.ndarray, *, restricted: bool, held: bool = False
     ) -> tuple[np.ndarray, float, bool]:
-        """Best values, their cost, and whether the optimiser ended by itself."""
-        if not order.size:
+        """Best values, their cost, and whether the optimiser ended by itself.
+
+        With the share of the carried noise `held` where it is.
+        """
+        n_held = int(held)
+        tail = start[start.size - n_held :]
+        if order.size == n_held:
             return start, self.cost(order, start, restricted=restricted), True
 
         last: list[tuple[np.ndarray, np.ndarray]] = []
@@ -375,7 +399,7 @@ class _Sample:
         def scaled(values: np.ndarray) -> np.ndarray:
             if last and np.array_equal(last[0][0], values):
                 return last[0][1]
-            found = self.scaled(order, values, restricted=restricted)[0]
+            found = self.scaled(order, np.append(values, tail), restricted=restricted)[0]
             found = found if np.all(np.isfinite(found)) else np.full(self.n_samples, _HUGE)
             last[:] = [(values.copy(), found)]
             return found
@@ -391,17 +415,19 @@ class _Sample:
         upper = -lower
         if order.carried:
             lower[-1] = 0.5 * np.log(_SHARES[0]) - 3
-            upper[-1] = 0.5 * np.log(_SHARES[-1]) + 3
+            upper[-1] = _MOST_CARRIED
+        lower, upper = lower[: order.size - n_held], upper[: order.size - n_held]
         found = scipy.optimize.least_squares(
             scaled,
-            np.clip(start, lower + _INSIDE, upper - _INSIDE),
+            np.clip(start[: lower.size], lower + _INSIDE, upper - _INSIDE),
             jac=slopes,
             bounds=(lower, upper),
             max_nfev=_ITERATIONS,
             ftol=1e-6,
             xtol=1e-4,
         )
-        return found.x, self.cost(order, found.x, restricted=restricted), bool(found.status > 0)
+        best = np.append(found.x, tail)
+        return best, self.cost(order, best, restricted=restricted), bool(found.status > 0)
 
 
 def _reflections(pieces: Sequence[np.ndarray], order: int) -> np.ndarray:

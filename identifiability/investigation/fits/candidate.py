@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -95,3 +95,23 @@ class Candidate:
 
 
 NOTHING = Residual((), np.array([np.inf]), float("inf"))
+
+
+def unfitted(
+    model: Model,
+    starts: Sequence[Mapping[str, float]],
+    refined: Sequence[str] = (),
+    scheme: Scheme | None = None,
+) -> Candidate:
+    """A model that is not fitted yet, with values to start from."""
+    return Candidate(
+        model,
+        starts[0],
+        (),
+        NOTHING,
+        NOTHING,
+        reached=tuple(starts),
+        refined=tuple(refined),
+        thorough=False,
+        scheme=scheme,
+    )

@@ -35,6 +35,7 @@ from identifiability.joint.scheme import Scheme
 _JOINT_RANGE = 4.0  # responses to K, B or I, over the measured one, that the prior spans
 _DECADE = 10.0  # ratio of bounds from which a shape's prior is uniform by ratios
 _EVALUATIONS, _ROUNDS = 12, 2
+_CARRIED = 2  # starts that a fit is carried on from
 _REFERENCE_ROUNDS, _SETTLED = 5, 1e-3
 _LEAST_EIGENVALUE = 1e-12
 _PLAIN = ((0, 0), (1, 0), (1, 1))  # orders that the noise of a better model may fall to
@@ -156,18 +157,19 @@ class Evaluator:
     def evaluate(
         self,
         model: Model,
-        values: Mapping[str, float],
+        starts: Sequence[Mapping[str, float]],
         *,
         refined: Sequence[str] = (),
         scheme: Scheme | None = None,
         least: float = -np.inf,
     ) -> Evaluated:
-        """Fit a model and its noise in turn, from given values, and take its evidence.
+        """Fit a model and its noise in turn, and take its evidence.
 
         Parameters
         ----------
         model : Model
-        values : mapping of str to float
+        starts : sequence of mapping
+            Values of all parameters by name, to start from the best of.
         refined : sequence of str
         scheme : Scheme, optional
         least : float
@@ -181,11 +183,15 @@ class Evaluator:
         problem = self.band.problem(
             model, refined=refined, scheme=scheme, probes=self.reference.probes
         )
-        weights, x, best = self.start, problem.free_vector(values), None
-        tried = self.orders
+        weights, best, tried = self.start, None, self.orders
+        points = np.array([problem.free_vector(values) for values in starts])
+        if len(points) > _CARRIED:
+            costs = [Weighed(problem, self.band, weights).squares(point) for point in points]
+            points = points[np.argsort(costs, kind="stable")[:_CARRIED]]
         for _ in range(_ROUNDS):
             weighed = Weighed(problem, self.band, weights)
-            x = explore(weighed, x[None], evaluations=_EVALUATIONS).values
+            x = explore(weighed, points, evaluations=_EVALUATIONS).values
+            points = x[None]
             weights = self.reference.weights(raw_residuals(problem, self.band, x)[0], tried)
             tried = weights.contenders[:1]
             found = self.evaluated(problem, x, weights, refined)

@@ -271,11 +271,7 @@ class Reference:
             Stretch(columns[:, 0], columns[:, 1:], int(trial))
             for columns, trial in zip(raw, self.band.trial, strict=True)
         ]
-        estimate, best = estimate_noise(stretches, self.carried, tried)
-        known = self.band.angle_noise
-        if self.band.angle_imposed and estimate.carried_sd < known:
-            # The residual tells the two noises apart by colour alone, and may miss this one.
-            estimate = replace(estimate, carried=replace(self.carried, sd=known))
+        estimate, best = estimate_noise(stretches, self.carried, tried, self.band.angle_noise)
         weights = Weights(self.band, estimate, best)
         if self.probe_problem is None:
             return weights

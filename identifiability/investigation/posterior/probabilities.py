@@ -10,7 +10,7 @@ equations are not exact; with more it is "none of these".
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import comb, log
 
 import numpy as np
@@ -74,7 +74,7 @@ class Probabilities:
     behind : float
         How far [nats] the best named set is behind something unknown; 0 where it is not.
     candidates : mapping of tuple of str to Candidate
-        The fit that each set was weighed from.
+        Each set as it was weighed, or the fit that it was weighed from.
     failures : mapping of str to str
         Models that could not be evaluated, and why.
     """
@@ -179,7 +179,7 @@ class Weighing:
         try:
             found = self.evaluator.evaluate(
                 candidate.model,
-                candidate.values,
+                [candidate.values] if candidate.thorough else candidate.reached,
                 refined=candidate.refined,
                 scheme=candidate.scheme,
                 least=max((f.log_evidence for f in self.found.values()), default=-np.inf) - _LOST,
@@ -191,10 +191,25 @@ class Weighing:
         if not self.evaluator.band.angle_imposed and (why := found.model.objection(found.values)):
             self.failures["+".join(keys)] = why
             return None
+        if not candidate.thorough:
+            candidate = replace(candidate, values=found.values, reached=(found.values,))
         known = self.found.get(keys)
         if known is None or found.log_evidence > known.log_evidence:
             self.found[keys], self.candidates[keys] = found, candidate
         return found
+
+    def take_up(self, keys: Keys) -> None:
+        """Evaluate a set further, from where its fit ended."""
+        known = self.found[keys]
+        try:
+            found = self.evaluator.evaluate(
+                known.model, [known.values], refined=known.refined, scheme=known.scheme
+            )
+        except (ValueError, ArithmeticError, np.linalg.LinAlgError):
+            return  # what is known stays
+        if found.log_evidence > known.log_evidence:
+            near = replace(self.candidates[keys], values=found.values, reached=(found.values,))
+            self.found[keys], self.candidates[keys] = found, near
 
     def log_prior(self, n_effects: int) -> float:
         """Of one set of so many effects, the unknown counted as one of the library."""
@@ -309,7 +324,10 @@ class Weighing:
             free = discrepancies.beside(found)
             if not keys:
                 return free, None
-            return free, discrepancies.beside(found, _FORM * self._explained(found))
+            most = _FORM * self._explained(found)
+            if free.size * self.evaluator.band.scale <= most:
+                return free, free
+            return free, discrepancies.beside(found, most)
         except (ValueError, np.linalg.LinAlgError) as error:
             self.failures[f"{'+'.join(keys)} and a discrepancy"] = str(error)
             return None

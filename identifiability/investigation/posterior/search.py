@@ -6,13 +6,15 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 from identifiability.errors import InputError
-from identifiability.investigation.fits.candidate import Candidate
+from identifiability.investigation.fits.candidate import Candidate, unfitted
 from identifiability.investigation.posterior.evidence import Evaluator
 from identifiability.investigation.posterior.probabilities import Keys, Probabilities, Weighing
 from identifiability.investigation.search.fitter import refinable
 from identifiability.investigation.search.ranking import Ranker
+from identifiability.joint.model import Model
 
 _BETTER = 0.0  # nats by which one effect more has to be more probable, for another to be tried
+_TAKEN_UP = 3  # sets of one size that are evaluated further, at most
 _REFINED = 3  # sets of one size that are refined, at most
 _WORTH_REFINING = 3.0  # nats before K, B and I alone
 _BEHIND = 60.0  # nats behind the best of its size, from which a set is not refined
@@ -90,10 +92,25 @@ class _Search:
             ],
             current,
         )
-        jobs = [(current.model + self.ranker.library[key](), key) for key in fitted]
-        found = self.ranker.fit_all(f"adding to {named}", jobs, current)
-        self.add(f"what may be added to {named}", [c for _, c in found])
+        what = f"what may be added to {named}"
+        if not keys:
+            jobs = [(current.model + self.ranker.library[key](), key) for key in fitted]
+            found = self.ranker.fit_all(f"adding to {named}", jobs, current)
+            self.add(what, [c for _, c in found])
+        else:
+            # Fitted by the noise that they leave alone: another fit is for what is named.
+            models = [current.model + self.ranker.library[key]() for key in fitted]
+            self.add(what, [self._unfitted(model, current) for model in models])
+            for near in self._ranked(len(keys) + 1)[:_TAKEN_UP]:
+                self.weighing.take_up(near)
         self._refine(len(keys) + 1)
+
+    def _unfitted(
+        self, model: Model, near: Candidate, more: Sequence[str] | None = None
+    ) -> Candidate:
+        refined = near.refined if more is None else tuple(more)
+        starts = self.ranker.fitter.starts(model, near, refined)
+        return unfitted(model, starts, refined, near.scheme)
 
     def _refine(self, size: int) -> None:
         """Free the refining parameters of the best sets of a size."""
@@ -107,9 +124,15 @@ class _Search:
                 continue
             self.refined.add(keys)
             for key in keys:
-                if refinable(plain, key):
-                    richer = self.ranker.fitter.refine(plain, (*plain.refined, key))
-                    self.add(f"{key}, refined", [richer])
+                if not refinable(plain, key):
+                    continue
+                more = (*plain.refined, key)
+                richer = (
+                    self.ranker.fitter.refine(plain, more)
+                    if size == 1
+                    else self._unfitted(plain.model, plain, more)
+                )
+                self.add(f"{key}, refined", [richer])
 
     def _ranked(self, size: int) -> list[Keys]:
         """Sets of a size, the best first."""

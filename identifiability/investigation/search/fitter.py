@@ -49,14 +49,15 @@ class Fitter:
         if known is not None:
             found = self.bench.finish(known) if thorough else known
         else:
-            starts = self._starts(model, near, refined)
+            starts = self.starts(model, near, refined)
             found = self.bench.fit(model, starts, refined=refined, thorough=thorough)
         self.known[model.effect_keys, refined] = found
         return found
 
-    def _starts(
+    def starts(
         self, model: Model, near: Candidate, refined: tuple[str, ...]
     ) -> list[dict[str, float]]:
+        """Values to start a model from, about a fitted one."""
         names = model.parameter_names
         shared = {name: value for name, value in near.values.items() if name in names}
         if len(shared) == len(names) and set(refined) != set(near.refined):

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
+from identifiability.investigation.posterior.discrepancy import Discrepant
 from identifiability.investigation.posterior.probabilities import Probabilities
 from identifiability.investigation.search.equivalence import same_form
 from identifiability.investigation.search.smallest_seen import Detectable
@@ -22,6 +23,7 @@ _UNKNOWN: dict[str, Kind] = {
     "drift": "measurement",
     "sensor": "measurement",
 }
+_SHARE = 0.2  # of what differs between trials, from which one torque for all is spoken of
 
 
 @dataclass(frozen=True)
@@ -141,6 +143,13 @@ def by_probability(
         )
     kind = verdict.kind
     if kind in ("explained", "one_of", "nothing_missing"):
-        discrepancy = posterior.discrepancy
-        kind = _UNKNOWN.get("" if discrepancy is None else discrepancy.kind, "unknown_static")
+        kind = _unknown(posterior.discrepancy)
     return replace(verdict, kind=kind, sets=(), reasons=(unsure, *reasons))
+
+
+def _unknown(discrepancy: Discrepant | None) -> Kind:
+    """Kind of a torque that nothing names: one for all trials, as far as there is one."""
+    sizes = {} if discrepancy is None else dict(discrepancy.sizes)
+    differs = max(sizes.pop("inconstant", 0.0), sizes.pop("unrepeatable", 0.0))
+    largest = max(sizes, key=lambda kind: sizes[kind], default="static")
+    return "unrepeatable" if sizes.get(largest, 0.0) < _SHARE * differs else _UNKNOWN[largest]
