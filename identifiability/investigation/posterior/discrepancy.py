@@ -246,11 +246,14 @@ class _Beside:
             shared = here.directions.T @ white
             taken = np.linalg.solve(here.precision, shared)
             inner = white.T @ white - shared.T @ taken
-            along = white.T @ here.white - taken.T @ here.gradient
+            # What the parameters could take over is theirs, noise of the angle not taken off: it
+            # has no torque of its own to be found in what is left.
+            slope = here.directions.T @ here.white
+            along = white.T @ here.white - taken.T @ slope
             gain, sizes, mean = self._sized(inner, along, sizes)
             there = int(np.sum(sizes > _COUNTS * band.scale))
             log_evidence = here.log_evidence + gain - there * np.log(_LOG_RANGE)
-            moved = np.linalg.solve(here.precision, here.gradient) - taken @ mean
+            moved = np.linalg.solve(here.precision, slope) - taken @ mean
             left = here.white - white @ mean - here.directions @ moved
             rms = here.weights.estimate.rms
             more, share = growing_noise(left, self.lively, min(1.0, (self.caps[0] / rms) ** 2))

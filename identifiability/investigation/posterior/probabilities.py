@@ -25,6 +25,9 @@ from identifiability.investigation.posterior.evidence import Evaluated, Evaluato
 
 Keys = tuple[str, ...]
 
+# Share of the response that is nothing unknown: instruments are linear to so much, and motion
+# between samples is known to it.
+_TRIFLE = 3e-3
 _FORM = 0.1  # share of what its effects do, that a model's equations may be wrong by
 _CONTENDS = 12.0  # nats that a set may be behind, for a discrepancy to be put beside it
 _MOST_BESIDE, _BEST_OF_SIZE = 6, 2
@@ -322,10 +325,9 @@ class Weighing:
         found = self.found[keys]
         try:
             free = discrepancies.beside(found)
-            if not keys:
-                return free, None
-            most = _FORM * self._explained(found)
-            if free.size * self.evaluator.band.scale <= most:
+            scale = self.evaluator.band.scale
+            most = max(_FORM * self._explained(found), _TRIFLE * scale)
+            if free.size * scale <= most:
                 return free, free
             return free, discrepancies.beside(found, most)
         except (ValueError, np.linalg.LinAlgError) as error:
