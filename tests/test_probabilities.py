@@ -263,6 +263,10 @@ def test_a_torque_that_nothing_names_is_found_and_noise_is_not():
     gain, beside = probabilities_with(Joint(ANATOMY), torque_sd=0.05)
     assert gain < 1
     assert beside.size < 0.01
+    # What noise of the angle takes from the inertia is not a torque of its own.
+    noisy = {"torque_sd": 0.1, "angle_sd": 3e-4, "n": 8, "rate": 200, "pace": 60.0}
+    gain, _ = probabilities_with(Joint(ANATOMY), **noisy)
+    assert gain < 3
     swing = Joint(ANATOMY, (TimeVaryingStiffness(8.0, 3.0),))
     gain, beside = probabilities_with(swing, torque_sd=0.05)
     assert gain > 20
@@ -339,7 +343,7 @@ def weighing_of(moved, log_evidence):
     """Sets with these predictions and evidence, and nothing else."""
     found = {
         keys: Evaluated(
-            KBI(), {}, (), None, np.zeros(3), None, value, None, None, None, None,
+            KBI(), {}, (), None, np.zeros(3), None, value, None, None, None,
             [np.asarray(moved[keys], float)[:, None]],
         )
         for keys, value in log_evidence.items()

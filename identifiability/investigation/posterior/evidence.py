@@ -105,7 +105,6 @@ class Evaluated:
         Whitened derivatives by the coordinates of the parameters that lie inside their bounds.
     precision : array, shape (k, k)
         Of these coordinates.
-    gradient : array, shape (k,)
     white : array, shape (n,)
         Whitened residual.
     raw : list of array
@@ -123,7 +122,6 @@ class Evaluated:
     log_evidence: float
     directions: np.ndarray
     precision: np.ndarray
-    gradient: np.ndarray
     white: np.ndarray
     raw: list[np.ndarray]
     beyond: float = 0.0
@@ -249,7 +247,6 @@ class Evaluator:
             float(log_evidence),
             directions,
             own,
-            gradient[inside],
             residual,
             raw,
             max([0.0, *(gain for i, gain in gains.items() if self._limits(problem, i))]),
