@@ -30,6 +30,7 @@ ALLOWED = 0.1 * min(NOISES)
 
 JOINT = {"K": 30.0, "B": 0.8, "I": 0.1}
 FAST: dict[str, dict[str, float]] = {
+    "activation_lag": {"gain": 50.0, "time_constant": 0.005, "off_ratio": 3.0},
     "coulomb_friction": {"torque": 0.3, "velocity": 0.002},
     "cubic_stiffness": {"coefficient": 2000.0},
     "gravity": {"moment": 30.0},
