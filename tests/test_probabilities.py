@@ -369,7 +369,7 @@ def test_a_small_second_effect_may_only_mend_the_equations_of_the_first(added, s
 def probabilities(*rows):
     """Rows of (effects, probability) as probabilities."""
     ranked = tuple(SetProbability(e, p, 0.0) for e, p in sorted(rows, key=lambda r: -r[1]))
-    return Probabilities(ranked, (), {}, 1.0, 1.0, None, (), 0.0, {})
+    return Probabilities(ranked, (), {}, 1.0, 1.0, None, (), {})
 
 
 @pytest.mark.parametrize(

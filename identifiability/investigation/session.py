@@ -171,7 +171,7 @@ class Investigation:
                     self.bench,
                     self.baseline,
                     self.library,
-                    self.bench.finish(final),
+                    final,
                     claim.sets or [(effect,) for effect in claim.effects],
                     progress=self.progress,
                 )

@@ -74,8 +74,6 @@ class Probabilities:
         be computed.
     unknown : tuple of str
         Of "none of these", the known effects beside which something unknown is most probable.
-    behind : float
-        How far [nats] the best named set is behind something unknown; 0 where it is not.
     candidates : mapping of tuple of str to Candidate
         Each set as it was weighed, or the fit that it was weighed from.
     failures : mapping of str to str
@@ -89,7 +87,6 @@ class Probabilities:
     response: float
     discrepancy: Discrepant | None
     unknown: tuple[str, ...]
-    behind: float
     candidates: Mapping[tuple[str, ...], Candidate]
     failures: Mapping[str, str] = field(default_factory=dict)
 
@@ -229,7 +226,7 @@ class Weighing:
         discrepancies = discrepancy_of(self.evaluator, best)
         exact = {k: self.score(k) for k in self.found}
         unknown, beside = dict[Keys, float](), dict[Keys, Discrepant]()
-        inexact: dict[Keys, list[float]] = {k: [] for k in self.found}
+        inexact: dict[Keys, float] = {}
         near = [k for k in ranked if exact[k] > exact[ranked[0]] - _CONTENDS][:_MOST_BESIDE]
         # The best of every size too: inexact equations may make up for an effect more.
         for n in sorted({len(keys) for keys in ranked}):
@@ -247,11 +244,10 @@ class Weighing:
             if free.kind == "none":
                 continue  # a discrepancy of no size is none
             # One that the equations' error explains is not something unknown besides.
-            if form is None or form.log_evidence < free.log_evidence - _SAME:
+            if form.log_evidence < free.log_evidence - _SAME:
                 besides = free.log_evidence + self.log_prior(len(keys) + 1)
                 unknown[keys] = max(besides, unknown.get(keys, -np.inf))
-            if form is not None:
-                inexact[keys].append(form.log_evidence)
+            inexact[keys] = form.log_evidence
         named = self._named(inexact)
         top = max([*named.values(), *unknown.values()])
         weights = {k: np.exp(v - top) for k, v in named.items()}
@@ -281,14 +277,11 @@ class Weighing:
             self.evaluator.band.scale,
             beside.get(shown),
             first,
-            float(max(0.0, max(unknown.values(), default=-np.inf) - max(named.values()))),
             dict(self.candidates),
             dict(self.failures),
         )
 
-    def _named(
-        self, inexact: Mapping[tuple[str, ...], list[float]]
-    ) -> dict[tuple[str, ...], float]:
+    def _named(self, inexact: Mapping[Keys, float]) -> dict[Keys, float]:
         """Log of what is proportional to the probability of each set, its equations exact or not.
 
         Equations that are wrong by so little as `_FORM` may be mended by an effect that is not
@@ -297,8 +290,9 @@ class Weighing:
         every = self.n_library + 1
         found: dict[Keys, float] = {}
         for keys in sorted(self.found, key=len, reverse=True):
-            exact, mended = self.found[keys].log_evidence, list(inexact.get(keys, ()))
-            for more, value in list(found.items()):
+            exact = self.found[keys].log_evidence
+            mended = [inexact[keys]] if keys in inexact else []
+            for more, value in found.items():
                 if len(more) == len(keys) + 1 and set(keys) < set(more) and self._mends(keys, more):
                     mended.append(value - log(every))
             # As probable as that the equations are exact.
@@ -320,7 +314,7 @@ class Weighing:
 
     def _beside(
         self, discrepancies: Discrepancy, keys: Keys
-    ) -> tuple[Discrepant, Discrepant | None] | None:
+    ) -> tuple[Discrepant, Discrepant] | None:
         """A set with any discrepancy, and with one that its equations' error explains."""
         found = self.found[keys]
         try:

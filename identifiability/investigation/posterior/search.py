@@ -13,7 +13,6 @@ from identifiability.investigation.search.fitter import refinable
 from identifiability.investigation.search.ranking import Ranker
 from identifiability.joint.model import Model
 
-_BETTER = 0.0  # nats by which one effect more has to be more probable, for another to be tried
 _TAKEN_UP = 3  # sets of one size that are evaluated further, at most
 _REFINED = 3  # sets of one size that are refined, at most
 _WORTH_REFINING = 3.0  # nats before K, B and I alone
@@ -154,8 +153,7 @@ class _Search:
     def improves(self, keys: Keys) -> bool:
         """Whether a set is more probable than the best with one effect less."""
         smaller = self._ranked(len(keys) - 1)[0]
-        score = self.weighing.score
-        return score(keys) > score(smaller) + _BETTER
+        return self.weighing.score(keys) > self.weighing.score(smaller)
 
     def not_enlarged(self, keys: Keys) -> Keys | None:
         """Rest of a set without one of its effects that has not been enlarged itself."""

@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
+from identifiability.joint.effects.activation import approach, kink, off_ratio
 from identifiability.joint.effects.base import Effect, Motion
 from identifiability.joint.parameters import Parameter
 
@@ -50,16 +51,7 @@ class ActivationLag(Effect):
             upper=1.0,
             description="time constant of activation",
         ),
-        Parameter(
-            "off_ratio",
-            r"\rho_a",
-            "1",
-            nominal=1.0,
-            lower=1.0,
-            upper=6.0,
-            plain=1.0,
-            description="time constant of deactivation over that of activation",
-        ),
+        off_ratio(r"\rho_a"),
     )
     references = (
         "Zajac 1989, Crit Rev Biomed Eng 17: 359-411 (activation dynamics)",
@@ -77,10 +69,8 @@ class ActivationLag(Effect):
         gain, tau, ratio = p
         angle = jnp.asarray(motion.angle)
         stretch = jnp.stack([jnp.maximum(angle, 0.0), jnp.maximum(-angle, 0.0)])
-        gap = gain * stretch - states
-        return gap / jnp.where(gap > 0, tau, tau * ratio)
+        return approach(gain * stretch - states, tau, ratio)
 
     def pace(self, values: Mapping[str, float]) -> float:
         """Difference between the rates of activation and deactivation."""
-        ratio = values[f"{self.key}.off_ratio"]
-        return (1 - 1 / ratio) / values[f"{self.key}.time_constant"]
+        return kink(self.key, values)

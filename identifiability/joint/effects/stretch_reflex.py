@@ -8,6 +8,7 @@ import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
+from identifiability.joint.effects.activation import approach, kink, off_ratio
 from identifiability.joint.effects.base import Effect, Motion
 from identifiability.joint.parameters import Parameter
 
@@ -101,16 +102,7 @@ class StretchReflex(Effect):
             plain=0.0,
             description="stretch velocity below which there is no response",
         ),
-        Parameter(
-            "off_ratio",
-            r"\rho",
-            "1",
-            nominal=1.0,
-            lower=1.0,
-            upper=6.0,
-            plain=1.0,
-            description="time constant of deactivation over that of activation",
-        ),
+        off_ratio(r"\rho"),
         Parameter(
             "damping_ratio",
             r"\zeta",
@@ -145,16 +137,13 @@ class StretchReflex(Effect):
             jnp.minimum(1.0, 1.0 - asymmetry) * jnp.maximum(-signal - quiet, 0.0),
         )
 
-        def approach(gap: Array) -> Array:
-            return gap / jnp.where(gap > 0, tau, tau * ratio)
-
         return jnp.stack(
             [
                 rate
                 for u, first, second in zip(excited, states[::2], states[1::2], strict=True)
                 for rate in (
-                    approach(u - first + overshoot * (u - second)),
-                    approach(first - second),
+                    approach(u - first + overshoot * (u - second), tau, ratio),
+                    approach(first - second, tau, ratio),
                 )
             ]
         )
@@ -165,8 +154,7 @@ class StretchReflex(Effect):
 
     def pace(self, values: Mapping[str, float]) -> float:
         """Difference between the rates of activation and deactivation."""
-        ratio = values[f"{self.key}.off_ratio"]
-        return (1 - 1 / ratio) / values[f"{self.key}.time_constant"]
+        return kink(self.key, values)
 
     def doubt(self, values: Mapping[str, float]) -> str:
         """Whether the delay is the shortest possible: the fit wanted something quicker."""
