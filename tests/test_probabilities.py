@@ -188,7 +188,7 @@ def test_laplace_agrees_with_sampling(key, hidden):
     found = evaluator.evaluate(model, [start])
     problem = evaluator.band.problem(model, scheme=found.scheme, probes=evaluator.reference.probes)
     weighed = Weighed(problem, evaluator.band, found.weights)
-    priors = evaluator.priors(problem, found.x)
+    priors = evaluator.priors(problem, found.x, found.raw)
 
     def log_density(x):
         if np.any(x < problem.lower) or np.any(x > problem.upper):
@@ -226,8 +226,8 @@ def whole_band(trials):
     fitted = hold_out(prepare_whole_band(trials), 0).fitted
     evaluator = evaluator_of(Band(fitted, 1, {}), START)
     reference = replace(evaluator.reference, probes=[], probe_problem=None)
-    start = replace(evaluator.start, gain=0.0, excess=0.0)
-    return replace(evaluator, reference=reference, start=start)
+    starts = tuple(replace(start, gain=0.0, excess=0.0) for start in evaluator.starts)
+    return replace(evaluator, reference=reference, starts=starts)
 
 
 @pytest.mark.parametrize("key", ["sensor_lowpass", "second_mass"])

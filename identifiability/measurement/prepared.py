@@ -32,6 +32,7 @@ from identifiability.measurement.trials import Trial, onsets
 
 LEAD_SAMPLES = 20
 """Quiet samples from which a level and a noise are read; fewer say too little about either."""
+_RESTS = 3  # quiet samples from which the posture is read that a movement starts from
 _LEVEL = 4.0  # standard errors that the lead's own scatter does not explain
 # Samples at an end that filter and interpolation make up, and those where it rests and the filter
 # makes up what was there.
@@ -69,9 +70,9 @@ class Treatment:
     ----------
     level_of : {"lead", "record", "nothing"}
         Samples whose mean was taken for the operating point: the quiet ones before the
-        perturbation, all of them, or none. Of a lead, a level that its own scatter explains is
-        left alone: taking it off would add its error to every sample. Where the angle is imposed
-        that of the torque is of the record in any case.
+        perturbation, all of them (of an imposed angle those of all trials), or none. Of a lead, a
+        level that its own scatter explains is left alone: taking it off would add its error to
+        every sample. Where the angle is imposed that of the torque is of the record in any case.
     torque, angle : float
         The levels [Nm, rad] that were taken off.
     lowpass_hz : float or None
@@ -232,7 +233,11 @@ def prepare(trials: Sequence[Trial], *, lowpass_hz: Lowpass = "auto") -> tuple[P
         without_leads = [_imposed_torque(trial) for trial in trials]
     else:
         cutoff_hz = cutoff(trials, lowpass_hz)
-        without_leads = [_imposed_angle(trial, cutoff_hz) for trial in trials]
+        rest, postures = _postures(trials, cutoff_hz)
+        without_leads = [
+            _imposed_angle(trial, cutoff_hz, posture, rest)
+            for trial, posture in zip(trials, postures, strict=True)
+        ]
     return _with_leads(without_leads)
 
 
@@ -287,9 +292,36 @@ def _imposed_torque(trial: Trial) -> tuple[Prepared, int]:
     return prepared, int(moves[0])
 
 
-def _imposed_angle(trial: Trial, cutoff_hz: float | None) -> tuple[Prepared, int]:
-    """A trial about its mean, filtered and decimated, and the number of its quiet samples."""
-    moves, ready = onsets(trial), trial.centred("mean")
+def _postures(trials: Sequence[Trial], cutoff_hz: float | None) -> tuple[bool, list[float]]:
+    """Operating points: whether those that the trials rest at before they move, and angles [rad].
+
+    Trials that begin in motion have one in common: springs that are not linear act about the same
+    angle in all of them.
+    """
+    quiet = [_quiet(trial, cutoff_hz) for trial in trials]
+    rest = min(quiet) >= _RESTS and all(_rests_first(onsets(trial)) for trial in trials)
+    if rest:
+        return True, [float(t.angle[:n].mean()) for t, n in zip(trials, quiet, strict=True)]
+    return False, [float(np.concatenate([t.angle for t in trials]).mean())] * len(trials)
+
+
+def _quiet(trial: Trial, cutoff_hz: float | None) -> int:
+    """Number of samples before an imposed angle has an effect on the torque."""
+    # Inertia shows in the torque before the angle has visibly moved, and a filter spreads it.
+    return max(0, int(onsets(trial)[0]) - reach(trial, cutoff_hz or HIGHEST_HZ))
+
+
+def _imposed_angle(
+    trial: Trial, cutoff_hz: float | None, posture: float, rest: bool
+) -> tuple[Prepared, int]:
+    """A trial about its operating point, filtered and decimated, and the number of quiet samples.
+
+    Springs that are not linear act about the posture that the movement starts from, if it does
+    from rest. The torque's level stays unknown: its noise may be slower than the lead is long.
+    """
+    level = float(trial.torque.mean()), posture
+    angle = "at rest before the movement" if rest else "of all trials"
+    moves, ready = onsets(trial), trial.less(*level, f"mean torque, and mean angle {angle}")
     first, last, every = 0, trial.n_samples, 1
     if cutoff_hz is not None:
         first, last = settled(trial, cutoff_hz)
@@ -297,7 +329,6 @@ def _imposed_angle(trial: Trial, cutoff_hz: float | None) -> tuple[Prepared, int
         ready = ready.lowpass(cutoff_hz)
     if every > 1:
         ready = ready.decimate(every)
-    levels = float(trial.torque.mean()), float(trial.angle.mean())
     prepared = Prepared(
         ready,
         imposed_motion(ready.time, ready.angle),
@@ -308,11 +339,9 @@ def _imposed_angle(trial: Trial, cutoff_hz: float | None) -> tuple[Prepared, int
         lead_is_noise=False,
         has_offset=True,
         onsets=moves // every,
-        treatment=Treatment("record", *levels, cutoff_hz, every),
+        treatment=Treatment("lead" if rest else "record", *level, cutoff_hz, every),
     )
-    # Inertia shows in the torque before the angle has visibly moved, and a filter spreads it.
-    quiet = int(moves[0]) - reach(trial, cutoff_hz or HIGHEST_HZ)
-    return prepared, max(0, quiet) // every
+    return prepared, _quiet(trial, cutoff_hz) // every
 
 
 def _with_leads(found: Sequence[tuple[Prepared, int]]) -> tuple[Prepared, ...]:
@@ -351,18 +380,6 @@ def _with_lead(prepared: Prepared, n: int, time: float) -> Prepared:
             response=trial.angle,
             has_offset=False,
             treatment=Treatment("lead", torque, angle),
-        )
-    elif _rests_first(prepared.onsets):
-        # Springs that are not linear act about the posture that the movement starts from. The
-        # torque's level stays unknown: its noise may be slower than the lead is long.
-        posture = float(trial.angle[:n].mean())
-        trial = trial.less(0.0, posture, f"mean angle of the {n} quiet samples")
-        done = prepared.treatment
-        prepared = replace(
-            prepared,
-            trial=trial,
-            drive=imposed_motion(trial.time, trial.angle),
-            treatment=replace(done, level_of="lead", angle=done.angle + posture),
         )
     sd = max(sd, _resolution(prepared.response) / np.sqrt(12))
     return replace(prepared, recorded_lead=Lead(n, sd, max(1.0, time)))

@@ -41,6 +41,7 @@ _ROUNDS, _GAIN = 4, 0.5  # of noise and discrepancy in turn; nats that one must 
 _MOST_ACTIVE = 0.25  # share of the samples that may go into directions of the discrepancy
 _AROUND = 0.05  # s, over which a motion is lively
 _SHARES_TRIED, _LEAST_VARIANCE = 41, 1e-6
+_LEAST_NET = 0.02  # share of a kind that must be beyond a model's parameters, to be sized by it
 _WORTH = 1.0  # nats below which no discrepancy is looked for any further
 
 
@@ -79,16 +80,15 @@ class Discrepant:
     log_evidence : float
         In nats.
     sizes : dict of str to float
-        By kind, root mean square of what it adds to the response, over the response's.
+        By kind, root mean square of what it adds to the response, over the response's. What the
+        model's own parameters could do as well does not count.
+    size : float
+        The same of all kinds together, which may cancel each other.
     """
 
     log_evidence: float
     sizes: dict[str, float]
-
-    @property
-    def size(self) -> float:
-        """Root mean square of all it adds to the response, over the response's."""
-        return float(np.sqrt(sum(size**2 for size in self.sizes.values())))
+    size: float
 
     @property
     def kind(self) -> str:
@@ -173,7 +173,7 @@ class Discrepancy:
         own, size = self._inconstant(found)
         cap = _LARGEST * self.evaluator.band.scale if most is None else most
         caps = np.append(np.full(len(self.columns), cap), min(cap, _CHANGES * size))
-        columns = {**self.columns, "inconstant": own}
+        columns = _net({**self.columns, "inconstant": own}, found)
         return _Beside(self.evaluator, columns, caps, self._lively).of(found)
 
     @cached_property
@@ -261,9 +261,14 @@ class _Beside:
             log_evidence += (more - np.log(_LOG_RANGE)) * grows
             if best is not None and log_evidence < best.log_evidence + _GAIN:
                 break
-            by_kind = self._by_kind(mean)
+            net = np.concatenate(_without(self._all, here, taken))
+            by_kind = {
+                kind: self._rms(net[:, self._owner == i] @ mean[self._owner == i])
+                for i, kind in enumerate(self.kinds)
+            }
             by_kind["unrepeatable"] = float(np.sqrt(share) * rms / band.scale) if grows else 0.0
-            best = Discrepant(log_evidence, by_kind)
+            whole = self._rms(net @ mean) ** 2 + by_kind["unrepeatable"] ** 2
+            best = Discrepant(log_evidence, by_kind, float(np.sqrt(whole)))
             if gain < _WORTH:
                 break
             raw = self._freed(here, inner, sizes, [columns @ mean for columns in self._all])
@@ -323,14 +328,29 @@ class _Beside:
             sizes = np.sqrt(sizes * wanted)
         return gain, sizes, mean
 
-    def _by_kind(self, mean: np.ndarray) -> dict[str, float]:
-        every, scale = np.concatenate(self._all), self.evaluator.band.scale
-        return {
-            kind: float(
-                np.sqrt(np.mean((every[:, self._owner == i] @ mean[self._owner == i]) ** 2)) / scale
-            )
-            for i, kind in enumerate(self.kinds)
-        }
+    def _rms(self, response: np.ndarray) -> float:
+        """Root mean square over the response's."""
+        return float(np.sqrt(np.mean(response**2)) / self.evaluator.band.scale)
+
+
+def _net(columns: Mapping[str, list[np.ndarray]], found: Evaluated) -> dict[str, list[np.ndarray]]:
+    """The same, each kind of size 1 in what a model's own parameters could not do as well."""
+    out = {}
+    for kind, parts in columns.items():
+        white = found.weights.whitened(parts)
+        taken = np.linalg.solve(found.precision, found.directions.T @ white)
+        net = np.concatenate(_without(parts, found, taken))
+        size = float(np.sqrt(np.mean(np.sum(net**2, axis=1))))
+        out[kind] = [part / max(size, _LEAST_NET) for part in parts]
+    return out
+
+
+def _without(parts: list[np.ndarray], found: Evaluated, taken: np.ndarray) -> list[np.ndarray]:
+    """Columns by stretch without what the parameters' coordinates take over of them."""
+    return [
+        part - raw[:, 1:] @ (found.turns @ taken)
+        for part, raw in zip(parts, found.raw, strict=True)
+    ]
 
 
 def liveliness(band: Band) -> list[np.ndarray]:

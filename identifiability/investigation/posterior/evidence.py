@@ -101,8 +101,10 @@ class Evaluated:
     weights : Weights
     log_evidence : float
         In nats.
+    turns : array, shape (n_free, k)
+        From the parameters to the coordinates of those that lie inside their bounds.
     directions : array, shape (n, k)
-        Whitened derivatives by the coordinates of the parameters that lie inside their bounds.
+        Whitened derivatives by these coordinates.
     precision : array, shape (k, k)
         Of these coordinates.
     white : array, shape (n,)
@@ -120,6 +122,7 @@ class Evaluated:
     x: np.ndarray
     weights: Weights
     log_evidence: float
+    turns: np.ndarray
     directions: np.ndarray
     precision: np.ndarray
     white: np.ndarray
@@ -138,14 +141,16 @@ class Evaluator:
         Orders of the noise that came nearest at K, B and I.
     joint_widths : array, shape (3,)
         Of the priors of K, B and I.
-    start : Weights
-        Noise of K, B and I, by which other models are fitted first.
+    starts : tuple of Weights
+        Noise by which other models are fitted first: that of K, B and I, and white noise. What K, B
+        and I leave at low frequencies looks like noise of long memory, and a model that is weighed
+        by it has nothing to explain there.
     """
 
     reference: Reference
     shortlist: tuple[Contender, ...]
     joint_widths: np.ndarray
-    start: Weights
+    starts: tuple[Weights, ...]
 
     @property
     def band(self) -> Band:
@@ -181,8 +186,25 @@ class Evaluator:
         problem = self.band.problem(
             model, refined=refined, scheme=scheme, probes=self.reference.probes
         )
-        weights, best, tried = self.start, None, self.orders
+        best = None
         points = np.array([problem.free_vector(values) for values in starts])
+        for weights in self.starts:
+            found = self._settled(problem, points, weights, refined, least)
+            if best is None or found.log_evidence > best.log_evidence:
+                best = found
+        assert best is not None
+        return best
+
+    def _settled(
+        self,
+        problem: Problem,
+        points: np.ndarray,
+        weights: Weights,
+        refined: Sequence[str],
+        least: float,
+    ) -> Evaluated:
+        """Model and noise fitted in turn, from given noise: see `evaluate`."""
+        best, tried = None, self.orders
         if len(points) > _CARRIED:
             costs = [Weighed(problem, self.band, weights).squares(point) for point in points]
             points = points[np.argsort(costs, kind="stable")[:_CARRIED]]
@@ -220,7 +242,7 @@ class Evaluator:
         if probe is not None and probe[:, 0] @ probe[:, 0] < weighed.most_taken:
             information = information - probe[:, 1:].T @ probe[:, 1:]
             gradient = gradient - probe[:, 1:].T @ probe[:, 0]
-        priors = self.priors(problem, x)
+        priors = self.priors(problem, x, raw)
         turn = np.array([p.turn(value) for p, value in zip(priors, x, strict=True)])
         information, gradient = information * np.outer(turn, turn), gradient * turn
         precision = information + np.diag([p.sd**-2 for p in priors])
@@ -235,7 +257,8 @@ class Evaluator:
             - 0.5 * (weighed.squares_of(white, probe) + weights.log_determinant)
             - order * n / max(1, n - order - 2)
         )
-        directions = jacobian[:, inside] * turn[inside]
+        turns = np.diag(turn)[:, inside]
+        directions = jacobian @ turns
         own = directions.T @ directions + np.diag([priors[i].sd ** -2 for i in inside])
         return Evaluated(
             problem.model,
@@ -245,6 +268,7 @@ class Evaluator:
             x,
             weights,
             float(log_evidence),
+            turns,
             directions,
             own,
             residual,
@@ -264,9 +288,16 @@ class Evaluator:
             return False
         return parameter.null is None
 
-    def priors(self, problem: Problem, x: np.ndarray) -> list[Prior]:
-        """Priors of the free parameters, by what a unit of each adds to the response at a point."""
-        raw, _ = raw_residuals(problem, self.band, x)
+    def priors(self, problem: Problem, x: np.ndarray, raw: Sequence[np.ndarray]) -> list[Prior]:
+        """Priors of the free parameters at a point, by what a unit of each adds to the response.
+
+        Parameters
+        ----------
+        problem : Problem
+        x : array, shape (n_free,)
+        raw : sequence of array
+            By stretch, the residual there and its derivatives.
+        """
         sizes = np.sqrt(np.mean(np.concatenate(raw)[:, 1:] ** 2, axis=0))
         out = []
         for name, value, low, high, size in zip(
@@ -331,7 +362,8 @@ def evaluator_of(band: Band, values: Mapping[str, float], *, seed: int = 1) -> E
     derivatives = np.concatenate(raw)[:, 1:]
     sizes = np.sqrt(np.mean(derivatives**2, axis=0))
     widths = _JOINT_RANGE * band.scale / np.maximum(sizes, 1e-300)
-    return Evaluator(reference, shortlist, widths, weights)
+    white = reference.weights(raw, [Contender(Order(0, 0, angle))])
+    return Evaluator(reference, shortlist, widths, (weights, white))
 
 
 def _log_volume(

@@ -232,8 +232,9 @@ class Weighing:
         for n in sorted({len(keys) for keys in ranked}):
             near += [keys for keys in ranked if len(keys) == n][:_BEST_OF_SIZE]
         for keys in dict.fromkeys(near):
-            if self.found[keys].beyond > _SURE:
-                # The same effects with values that no joint has are none of these.
+            if self.found[keys].beyond > _SURE and exact[keys] > exact[ranked[0]] - _CONTENDS:
+                # The same effects with values that no joint has are none of these. By how much more
+                # probable is not known far from what was fitted.
                 more = self.found[keys].log_evidence + self.found[keys].beyond
                 unknown[keys] = more + self.log_prior(len(keys) + 1)
             one = self._beside(discrepancies, keys)

@@ -9,10 +9,12 @@ from identifiability.errors import InputError
 from identifiability.investigation.fits.candidate import Candidate, unfitted
 from identifiability.investigation.posterior.evidence import Evaluator
 from identifiability.investigation.posterior.probabilities import Keys, Probabilities, Weighing
+from identifiability.investigation.posterior.signatures import strongest
 from identifiability.investigation.search.fitter import refinable
 from identifiability.investigation.search.ranking import Ranker
 from identifiability.joint.model import Model
 
+_SEEN = 6  # effects that are added to a set that has effects already
 _TAKEN_UP = 3  # sets of one size that are evaluated further, at most
 _REFINED = 3  # sets of one size that are refined, at most
 _WORTH_REFINING = 3.0  # nats before K, B and I alone
@@ -72,33 +74,37 @@ class _Search:
     baseline: Candidate
     enlarged: list[Keys] = field(default_factory=list)
     refined: set[Keys] = field(default_factory=set)
+    plain: dict[Keys, float] = field(default_factory=dict)
 
     def add(self, what: str, candidates: Sequence[Candidate]) -> None:
         for i, candidate in enumerate(candidates):
             self.ranker.progress(f"weighing {what}", i, len(candidates))
             self.weighing.weigh(candidate, self.baseline.keys)
+        # Before any is refined: a set is compared with others in one form.
+        for keys, found in self.weighing.found.items():
+            self.plain.setdefault(keys, found.log_evidence)
 
     def enlarge(self, keys: Keys) -> None:
         """Add every effect to a set whose signature is in what it leaves; refine the best."""
         self.enlarged.append(keys)
         current = self.weighing.candidates[keys]
         named = " + ".join(["K, B, I", *keys])
-        fitted = self.ranker.screen(
-            [
-                k
-                for k in self.ranker.library
-                if k not in current.keys and tuple(sorted((*keys, k))) not in self.weighing.found
-            ],
-            current,
-        )
+        more = {
+            key: effect
+            for key, effect in self.ranker.library.items()
+            if key not in current.keys and tuple(sorted((*keys, key))) not in self.weighing.found
+        }
         what = f"what may be added to {named}"
         if not keys:
-            jobs = [(current.model + self.ranker.library[key](), key) for key in fitted]
-            found = self.ranker.fit_all(f"adding to {named}", jobs, current)
-            self.add(what, [c for _, c in found])
+            jobs = [(current.model + effect(), key) for key, effect in more.items()]
+            fitted = self.ranker.fit_all(f"adding to {named}", jobs, current)
+            self.add(what, [c for _, c in fitted])
         else:
+            found = self.weighing.found
+            alone = {k: found[k,].values for k in more if (k,) in found}
+            seen = strongest(self.weighing.evaluator, found[keys], more, alone, _SEEN)
             # Fitted by the noise that they leave alone: another fit is for what is named.
-            models = [current.model + self.ranker.library[key]() for key in fitted]
+            models = [current.model + more[key]() for key in seen]
             self.add(what, [self._unfitted(model, current) for model in models])
             for near in self._ranked(len(keys) + 1)[:_TAKEN_UP]:
                 self.weighing.take_up(near)
@@ -114,9 +120,10 @@ class _Search:
     def _refine(self, size: int) -> None:
         """Free the refining parameters of the best sets of a size."""
         found = self.weighing.found
-        ranked = self._ranked(size)[:_REFINED]
+        of_size = [keys for keys in found if len(keys) == size]
+        ranked = sorted(of_size, key=lambda keys: -self.plain[keys])[:_REFINED]
         for keys in ranked:
-            behind = found[ranked[0]].log_evidence - found[keys].log_evidence
+            behind = self.plain[ranked[0]] - self.plain[keys]
             gain = found[keys].log_evidence - found[()].log_evidence
             plain = self.weighing.candidates[keys]
             if keys in self.refined or behind > _BEHIND or gain < _WORTH_REFINING:

@@ -109,9 +109,9 @@ class StretchReflex(Effect):
             "1",
             nominal=1.0,
             lower=0.4,
-            upper=1.5,
+            upper=4.0,
             plain=1.0,
-            description="of activation: below 1 it overshoots",
+            description="of activation: below 1 it overshoots, far above it is of first order",
         ),
     )
     references = (
