@@ -57,7 +57,7 @@ GENERIC = {
     "nonlinear_tendon": {"asymmetry": 0.3},
     "quadratic_stiffness": {"hardening": 3.0},
     "sensor_delay": {"delay": 0.0033},
-    "sensor_drift": {"bend": 0.1},
+    "sensor_drift": {"bend": 0.1, "twist": 0.1},
     "sensor_lowpass": {"shape": 0.3},
     "short_range_stiffness": {"renewal": 5.0, "sharpness": 3.0},
     "stiffening_hysteresis": {"renewal": 5.0, "sharpness": 3.0, "reversal": -0.5},

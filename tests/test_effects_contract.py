@@ -44,6 +44,7 @@ STABLE = {
     "sensor_delay.delay": (0.0, 0.05),  # a negative one reads beyond the end of a record
     "sensor_drift.rate": (-0.1, 0.1),
     "sensor_drift.bend": (-0.1, 0.1),
+    "sensor_drift.twist": (-0.1, 0.1),
     "stretch_reflex.position_gain": (0.0, 100.0),
     "stretch_reflex.velocity_gain": (0.0, 5.0),
 }

@@ -490,7 +490,7 @@ def test_sensor_lowpass_is_a_butterworth_filter_at_one_half():
 
 
 @pytest.mark.parametrize("drive", [SINUSOID, ramp(0.3)], ids=["torque", "angle"])
-def test_sensor_drift_is_a_parabola_in_the_units_of_the_response(drive):
-    found = response("sensor_drift", drive, rate=0.2, bend=-0.7)
-    expected = simulate(KBI(), (K, B, I), drive) + 0.2 * TIME - 0.7 * TIME**2
+def test_sensor_drift_is_a_cubic_in_the_units_of_the_response(drive):
+    found = response("sensor_drift", drive, rate=0.2, bend=-0.7, twist=1.3)
+    expected = simulate(KBI(), (K, B, I), drive) + 0.2 * TIME - 0.7 * TIME**2 + 1.3 * TIME**3
     agree(found, expected, 1e-12)

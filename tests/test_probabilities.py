@@ -343,7 +343,7 @@ def weighing_of(moved, log_evidence):
     """Sets with these predictions and evidence, and nothing else."""
     found = {
         keys: Evaluated(
-            KBI(), {}, (), None, np.zeros(3), None, value, None, None, None,
+            KBI(), {}, (), None, np.zeros(3), None, value, None, None, None, None,
             [np.asarray(moved[keys], float)[:, None]],
         )
         for keys, value in log_evidence.items()

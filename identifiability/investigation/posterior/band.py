@@ -122,11 +122,17 @@ class Band:
         return float(np.sqrt(np.mean(np.concatenate(levelled) ** 2)))
 
     def probes(self, sd: float, seed: int) -> list[Observation]:
-        """The same observations with noise of this standard deviation [rad] in the angle."""
+        """The same observations with noise of this standard deviation [rad] in the angle.
+
+        Of even power at all frequencies: chance would give a narrow resonance what to feed on.
+        """
         random = np.random.default_rng(seed)
         out: list[Observation] = []
         for p in self.prepared:
-            noise = random.standard_normal(p.trial.n_samples)
+            n = p.trial.n_samples
+            phases = random.uniform(0.0, 2 * np.pi, n // 2 + 1)
+            noise = np.fft.irfft(np.exp(1j * phases), n)
+            noise /= noise.std()
             if self.every > 1:
                 noise = _halve(noise) / np.sqrt(np.sum(_HALF_BAND**2))
             drive = imposed_motion(p.trial.time, p.trial.angle + sd * noise)

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+import scipy.linalg
 import scipy.special
 
 from identifiability.errors import InputError
@@ -38,6 +39,7 @@ _EVALUATIONS, _ROUNDS = 12, 2
 _CARRIED = 2  # starts that a fit is carried on from
 _REFERENCE_ROUNDS, _SETTLED = 5, 1e-3
 _LEAST_EIGENVALUE = 1e-12
+_LEAST_LEFT = 0.1  # share of a precision that noise of the angle leaves
 _PLAIN = ((0, 0), (1, 0), (1, 1))  # orders that the noise of a better model may fall to
 
 
@@ -238,14 +240,15 @@ class Evaluator:
         raw, _ = raw_residuals(problem, self.band, x)
         white, probe = weighed.whitened(x)
         residual, jacobian = white[:, 0], white[:, 1:]
-        information, gradient = jacobian.T @ jacobian, jacobian.T @ residual
-        if probe is not None and probe[:, 0] @ probe[:, 0] < weighed.most_taken:
-            information = information - probe[:, 1:].T @ probe[:, 1:]
-            gradient = gradient - probe[:, 1:].T @ probe[:, 0]
         priors = self.priors(problem, x, raw)
         turn = np.array([p.turn(value) for p, value in zip(priors, x, strict=True)])
-        information, gradient = information * np.outer(turn, turn), gradient * turn
-        precision = information + np.diag([p.sd**-2 for p in priors])
+        precision = (jacobian * turn).T @ (jacobian * turn)
+        precision += np.diag([p.sd**-2 for p in priors])
+        gradient = jacobian.T @ residual
+        if probe is not None and probe[:, 0] @ probe[:, 0] < weighed.most_taken:
+            precision = _less(precision, probe[:, 1:] * turn)
+            gradient = gradient - probe[:, 1:].T @ probe[:, 0]
+        gradient = gradient * turn
         at_lower, at_upper = touching(x, problem.lower, problem.upper)
         at_bound = at_lower | at_upper
         volume, inside, gains = _log_volume(precision, gradient, at_bound)
@@ -364,6 +367,16 @@ def evaluator_of(band: Band, values: Mapping[str, float], *, seed: int = 1) -> E
     widths = _JOINT_RANGE * band.scale / np.maximum(sizes, 1e-300)
     white = reference.weights(raw, [Contender(Order(0, 0, angle))])
     return Evaluator(reference, shortlist, widths, (weights, white))
+
+
+def _less(precision: np.ndarray, probe: np.ndarray) -> np.ndarray:
+    """Precision without what noise of the angle adds to it, which by chance may be more than all.
+
+    A share of it is kept in every direction: none is known less than that well.
+    """
+    left, vectors = scipy.linalg.eigh(precision - probe.T @ probe, precision)
+    turned = precision @ vectors
+    return np.asarray(turned * np.maximum(left, _LEAST_LEFT) @ turned.T)
 
 
 def _log_volume(

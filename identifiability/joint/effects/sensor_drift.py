@@ -13,9 +13,9 @@ from identifiability.joint.parameters import Parameter
 
 
 class SensorDrift(Effect):
-    """The recorded response drifts alike in every trial: a ramp, refined by a parabola.
+    """The recorded response drifts alike in every trial: a ramp, refined by a cubic.
 
-    In units of the response: rad, or Nm where the angle is imposed. It vanishes with both
+    In units of the response: rad, or Nm where the angle is imposed. It vanishes with all
     coefficients 0.
     """
 
@@ -30,8 +30,8 @@ class SensorDrift(Effect):
             r"r_\mathrm{d}",
             "rad/s",
             nominal=0.01,
-            lower=-5.0,
-            upper=5.0,
+            lower=-50.0,
+            upper=50.0,
             null=0.0,
             description="drift per time since the start of the trial",
         ),
@@ -40,11 +40,22 @@ class SensorDrift(Effect):
             r"q_\mathrm{d}",
             "rad/s²",
             nominal=0.0,
-            lower=-5.0,
-            upper=5.0,
+            lower=-500.0,
+            upper=500.0,
             null=0.0,
             plain=0.0,
             description="drift per squared time",
+        ),
+        Parameter(
+            "twist",
+            r"c_\mathrm{d}",
+            "rad/s³",
+            nominal=0.0,
+            lower=-5000.0,
+            upper=5000.0,
+            null=0.0,
+            plain=0.0,
+            description="drift per cubed time: a swing of which a trial shows one turn or less",
         ),
     )
     references = ("Ljung 1999, System Identification: Theory for the User, 2nd ed., ch. 14",)
@@ -52,4 +63,4 @@ class SensorDrift(Effect):
     def record(self, p: Sequence[Array], response: Array, interval: ArrayLike) -> Array:
         """Response with its drift, which is 0 at the first sample."""
         time = interval * jnp.arange(response.shape[0])
-        return response + (p[0] + p[1] * time) * time
+        return response + ((p[2] * time + p[1]) * time + p[0]) * time
