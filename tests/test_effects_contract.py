@@ -38,6 +38,7 @@ BETWEEN_SAMPLES = {"sensor_delay": 3e-4, "sensor_lowpass": 2e-3}
 STABLE = {
     "activation_lag.gain": (0.0, 200.0),
     "cubic_stiffness.coefficient": (0.0, 20000.0),
+    "cubic_stiffness.centre": (-0.01, 0.01),
     "gravity.moment": (0.0, 100.0),
     "gravity.posture": (-1.5, 1.5),
     "quadratic_stiffness.coefficient": (-100.0, 200.0),

@@ -88,9 +88,9 @@ EQUATIONS = {
         lambda q, v, z: [],
     ),
     "cubic_stiffness": (
-        {"coefficient": 3000.0},
+        {"coefficient": 3000.0, "centre": -0.02},
         0,
-        lambda q, v, z: 3000 * q**3,
+        lambda q, v, z: 3000 * ((q + 0.02) ** 3 - 0.02**3 - 3 * 0.02**2 * q),
         lambda q, v, z: [],
     ),
     "gravity": (

@@ -89,6 +89,18 @@ def test_a_hold_among_many_is_no_rest(rest, level_of):
     assert ready.treatment.angle == pytest.approx(expected, abs=1e-3)
 
 
+def test_an_imposed_angle_is_about_where_it_rests_or_about_one_angle_for_all():
+    """At any rate: springs that are not linear act about the same angle in every trial."""
+    for rate in (100.0, 400.0):
+        trials = [servo(rate=rate, n=round(3 * rate), seed=i, rest=50 / rate) for i in range(3)]
+        resting = prepare(trials)
+        assert all(p.treatment.level_of == "lead" for p in resting)
+        assert all(abs(p.trial.angle[:5]).max() < 1e-3 for p in resting)
+    moving = [servo(seed=i, rest=0.0) for i in range(3)]
+    (taken,) = {p.treatment.angle for p in prepare(moving)}
+    assert taken == pytest.approx(np.mean([trial.angle for trial in moving]))
+
+
 @pytest.mark.parametrize(("lead", "known"), [(0.03, False), (0.05, True)])
 def test_a_short_lead_is_none(lead, known):
     (ready,) = prepare([pulse(lead=lead, level=0.3, time=np.arange(300) / 500)])

@@ -19,7 +19,11 @@ from identifiability.benchmark.motion import Motion, reaction
 from identifiability.benchmark.unknowns import TimeVaryingStiffness
 from identifiability.errors import InputError
 from identifiability.investigation.posterior.band import Band, band_of
-from identifiability.investigation.posterior.discrepancy import discrepancy_of, growing_noise
+from identifiability.investigation.posterior.discrepancy import (
+    _without,
+    discrepancy_of,
+    growing_noise,
+)
 from identifiability.investigation.posterior.evidence import (
     Evaluated,
     _log_volume,
@@ -288,6 +292,25 @@ def test_parameters_that_differ_between_trials_are_something_unknown():
     assert gains["alike"] < 1
     assert gains["different"] > 20
     assert beside.kind == "inconstant"
+
+
+def test_what_parameters_can_do_is_no_discrepancy():
+    """A torque that K, B and I could make as well has no size; one beyond them has."""
+    evaluator = evaluator_for(servo_trials(Joint(ANATOMY), torque_sd=0.05))
+    plain = evaluator.evaluate(KBI(), [START])
+    random = np.random.default_rng(1)
+    size = np.std(np.concatenate(plain.raw)[:, 1])
+    sizes = []
+    for own in (0.0, 0.5):
+        parts = []
+        for raw in plain.raw:
+            theirs = raw[:, 1] / size
+            parts.append((theirs + own * random.standard_normal(theirs.size))[:, None])
+        white = plain.weights.whitened(parts)
+        taken = np.linalg.solve(plain.precision, plain.directions.T @ white)
+        sizes.append(np.std(np.concatenate(_without(parts, plain, taken))))
+    assert sizes[0] < 1e-2
+    assert sizes[1] == pytest.approx(0.5, rel=0.2)
 
 
 def test_noise_is_there_at_rest_as_well():

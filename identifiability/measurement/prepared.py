@@ -33,6 +33,7 @@ from identifiability.measurement.trials import Trial, onsets
 LEAD_SAMPLES = 20
 """Quiet samples from which a level and a noise are read; fewer say too little about either."""
 _RESTS = 3  # quiet samples from which the posture is read that a movement starts from
+_ALIKE = 0.05  # share of the motion by which angles at rest may differ that count as one
 _LEVEL = 4.0  # standard errors that the lead's own scatter does not explain
 # Samples at an end that filter and interpolation make up, and those where it rests and the filter
 # makes up what was there.
@@ -295,14 +296,18 @@ def _imposed_torque(trial: Trial) -> tuple[Prepared, int]:
 def _postures(trials: Sequence[Trial], cutoff_hz: float | None) -> tuple[bool, list[float]]:
     """Operating points: whether those that the trials rest at before they move, and angles [rad].
 
-    Trials that begin in motion have one in common: springs that are not linear act about the same
+    A short hold may be one of many, but not where all trials begin at one angle. Trials that begin
+    in motion have one operating point in common: springs that are not linear act about the same
     angle in all of them.
     """
     quiet = [_quiet(trial, cutoff_hz) for trial in trials]
-    rest = min(quiet) >= _RESTS and all(_rests_first(onsets(trial)) for trial in trials)
-    if rest:
-        return True, [float(t.angle[:n].mean()) for t, n in zip(trials, quiet, strict=True)]
-    return False, [float(np.concatenate([t.angle for t in trials]).mean())] * len(trials)
+    together = np.concatenate([trial.angle for trial in trials])
+    if min(quiet) >= _RESTS:
+        found = [float(t.angle[:n].mean()) for t, n in zip(trials, quiet, strict=True)]
+        alike = len(trials) > 1 and np.ptp(found) < _ALIKE * together.std()
+        if alike or all(_rests_first(onsets(trial)) for trial in trials):
+            return True, found
+    return False, [float(together.mean())] * len(trials)
 
 
 def _quiet(trial: Trial, cutoff_hz: float | None) -> int:

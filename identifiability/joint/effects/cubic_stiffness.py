@@ -14,7 +14,14 @@ from identifiability.joint.parameters import Parameter
 
 
 class CubicStiffness(Effect):
-    r"""Stiffness that grows to both sides: T = K_3 theta^3; vanishes with K_3 = 0."""
+    r"""Stiffness that grows to both sides of an angle.
+
+    .. math:: T = K_3\,\theta^2 (\theta - 3 \theta_c), \qquad T = K_3\,\theta^3
+              \text{ in the plain form, } \theta_c = 0
+
+    what is left of :math:`K_3 (\theta - \theta_c)^3` when its torque and stiffness at the operating
+    point count as level and K. It vanishes with K_3 = 0.
+    """
 
     key = "cubic_stiffness"
     title = "a stiffness that grows with the angle (cubic)"
@@ -32,6 +39,16 @@ class CubicStiffness(Effect):
             null=0.0,
             description="torque per cubed angle",
         ),
+        Parameter(
+            "centre",
+            r"\theta_c",
+            "rad",
+            nominal=0.0,
+            lower=-0.5,
+            upper=0.5,
+            plain=0.0,
+            description="angle about which it grows, from the operating point",
+        ),
     )
     references = (
         "Kovacic & Brennan 2011, The Duffing Equation: Nonlinear Oscillators and their Behaviour",
@@ -41,7 +58,8 @@ class CubicStiffness(Effect):
         self, p: Sequence[Array], motion: Motion, states: Array, delayed: Motion
     ) -> ArrayLike:
         """Torque [Nm] beyond that of a linear spring."""
-        return p[0] * jnp.asarray(motion.angle) ** 3
+        angle = jnp.asarray(motion.angle)
+        return p[0] * angle**2 * (angle - 3 * p[1])
 
     def pace(self, values: Mapping[str, float]) -> float:
         """Frequency [rad/s] to which the stiffness at a typical angle would raise the joint."""
