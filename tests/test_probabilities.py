@@ -44,8 +44,9 @@ from identifiability.investigation.wording.verdict import _reason
 from identifiability.joint.effects import EFFECTS
 from identifiability.joint.model import KBI
 from identifiability.joint.response import simulate
+from identifiability.joint.scheme import Scheme
 from identifiability.measurement.filtering import known_noise
-from identifiability.measurement.perturbations import imposed_motion
+from identifiability.measurement.perturbations import SampledTorque, imposed_motion
 from identifiability.measurement.prepared import prepare_whole_band
 from identifiability.measurement.splitting import hold_out
 from identifiability.measurement.trials import Trial
@@ -222,6 +223,32 @@ def test_laplace_agrees_with_sampling(key, hidden):
     assert abs(sampled - taken) < 1 + 3 * error
 
 
+# Errors of the integration
+
+
+def test_a_model_is_integrated_as_finely_as_telling_it_from_others_asks():
+    """Steps that are too long are found by half of them; without it the evidence is another's."""
+    random = np.random.default_rng(5)
+    time = np.arange(300) / 200
+    torque = 6.0 * np.sign(np.sin(2 * np.pi * 2.5 * time)) * (time > 0.1)
+    model = KBI() + EFFECTS["coulomb_friction"]()
+    nominal = dict(zip(model.parameter_names, model.nominal, strict=True))
+    values = nominal | START | {"coulomb_friction.torque": 1.0, "coulomb_friction.velocity": 0.1}
+    angle = simulate(model, model.vector(values), SampledTorque(torque).drive(time))
+    angle = angle + 3e-6 * random.standard_normal(time.size)
+    trial = Trial(time, torque, angle, driven="torque", name="dry")
+    evaluator = evaluator_for([trial])
+    long, short = Scheme(1, 2), Scheme(64, 4)
+    found = evaluator.evaluate(model, [values], scheme=long)
+    exact = evaluator.evaluate(model, [values], scheme=short)
+    assert found.scheme.is_finer_than(long)
+    assert abs(found.log_evidence - exact.log_evidence) < 2
+    problem = evaluator.band.problem(model, scheme=long)
+    start = np.array([problem.free_vector(values)])
+    coarse = evaluator._settled(problem, start, exact.weights, (), -np.inf)
+    assert exact.log_evidence - coarse.log_evidence > 20
+
+
 # Noise of an imposed angle
 
 
@@ -371,7 +398,7 @@ def weighing_of(moved, log_evidence):
         )
         for keys, value in log_evidence.items()
     }  # fmt: skip
-    return Weighing(None, 15, found)
+    return Weighing(None, 15, found=found)
 
 
 @pytest.mark.parametrize(("added", "sure"), [(0.05, False), (0.5, True)])

@@ -62,6 +62,42 @@ def starting_values(
     return starts
 
 
+def refined_values(
+    model: Model, values: Mapping[str, float], free: Sequence[str]
+) -> list[dict[str, float]]:
+    """Starts of a refined model: the plain optimum, and its refinements one way and the other.
+
+    Parameters
+    ----------
+    model : Model
+    values : mapping of str to float
+        All parameters of the plain optimum.
+    free : sequence of str
+        Those that were free there.
+    """
+    starts = [dict(values)]
+    new = {
+        name: (p, p.plain)
+        for name, p in model.parameters.items()
+        if p.plain is not None and name not in free
+    }
+    own = {name.split(".")[0] for name in new}
+    for side in (1.0, -1.0):
+        start = dict(values)
+        for name, (p, plain) in new.items():
+            # Most of the way to one side and, where there is one, to the other.
+            room = p.upper - plain if side > 0 or p.lower >= plain else p.lower - plain
+            start[name] = plain + float(np.clip(0.8 * room, -0.5, 0.8))
+        starts.append(start)
+        # The plain form may have gone astray for want of the refinement.
+        fresh = dict(start)
+        for name, p in model.parameters.items():
+            if name.split(".")[0] in own and p.plain is None and p.null is None:
+                fresh[name] = p.nominal
+        starts.append(fresh)
+    return starts
+
+
 def plain_values(model: Model, refined: Sequence[str] = ()) -> dict[str, float]:
     """Values that give effects their plain form, of those parameters that only refine them.
 

@@ -27,7 +27,7 @@ from identifiability.investigation.posterior.probabilities import Probabilities
 from identifiability.investigation.posterior.search import weigh
 from identifiability.investigation.rules import Rules
 from identifiability.investigation.search.found import Found, Ranking
-from identifiability.investigation.search.search import found_of, rank, ranker_of, search
+from identifiability.investigation.search.search import found_of, rank, search
 from identifiability.investigation.search.smallest_seen import Detectable, detectable
 from identifiability.investigation.split import Split, gather
 from identifiability.investigation.unexplained.account import Unexplained, unexplained
@@ -200,10 +200,9 @@ class Investigation:
             bounds=self.bench.bounds,
             room=self.split.room,
         )
-        ranker = ranker_of(self.bench, self.baseline, self.library, self.progress)
         evaluator = evaluator_of(band, self.baseline.values, seed=seed)
         number = self.bench.rules.most_effects if most is None else most
-        return weigh(ranker, evaluator, self.baseline, number)
+        return weigh(evaluator, self.baseline, self.library, number, self.progress)
 
     def widths(self, candidate: Candidate, *, seed: int = 1) -> Widths:
         """Every width of a fitted model's parameters, as of K, B and I."""

@@ -36,6 +36,7 @@ from identifiability.joint.scheme import Scheme
 _JOINT_RANGE = 4.0  # responses to K, B or I, over the measured one, that the prior spans
 _DECADE = 10.0  # ratio of bounds from which a shape's prior is uniform by ratios
 _EVALUATIONS, _ROUNDS = 12, 2
+_SOLVER = 1.0  # squared error of the integration, all samples together, over the noise's
 _CARRIED = 2  # starts that a fit is carried on from
 _REFERENCE_ROUNDS, _SETTLED = 5, 1e-3
 _LEAST_EIGENVALUE = 1e-12
@@ -167,6 +168,7 @@ class Evaluator:
         refined: Sequence[str] = (),
         scheme: Scheme | None = None,
         least: float = -np.inf,
+        resolved: bool = True,
     ) -> Evaluated:
         """Fit a model and its noise in turn, and take its evidence.
 
@@ -177,13 +179,16 @@ class Evaluator:
             Values of all parameters by name, to start from the best of.
         refined : sequence of str
         scheme : Scheme, optional
+            To start with; what the model asks for by default.
         least : float
             Log evidence below which a model is not fitted any further.
+        resolved : bool
+            Whether steps are made so short that the evidence does not depend on them.
 
         Raises
         ------
         InputError
-            Where the model has no finite response.
+            Where the model has no finite response, or is too fast for its samples.
         """
         problem = self.band.problem(
             model, refined=refined, scheme=scheme, probes=self.reference.probes
@@ -195,7 +200,37 @@ class Evaluator:
             if best is None or found.log_evidence > best.log_evidence:
                 best = found
         assert best is not None
+        while resolved and (finer := self._finer(problem, best)) is not None:
+            problem = problem.with_scheme(finer)
+            best = self._settled(problem, best.x[None], best.weights, refined, least)
         return best
+
+    @staticmethod
+    def _finer(problem: Problem, found: Evaluated) -> Scheme | None:
+        """Finer steps, where a model's own are too long to tell it from others.
+
+        Raises
+        ------
+        InputError
+            Where no steps are fine enough.
+        """
+        suited = problem.suited(problem.complete(found.x))
+        if suited.is_finer_than(problem.integration):
+            return suited
+        if problem.integration.exact:
+            return None
+        moved = problem.halved().residuals(found.x) - problem.residuals(found.x)
+        rows = moved.reshape(max(len(problem.observations), problem.room[0]), -1, 1)
+        white = found.weights.whitened(found.weights.band.stretches(rows))
+        error = float(np.sum(white**2))
+        if not error > _SOLVER:
+            return None
+        if problem.integration.finest:
+            raise InputError(
+                f"found parameters of {problem.model} too fast for samples {problem.interval:g} s "
+                f"apart, which {problem.integration} do not resolve; sample more often"
+            )
+        return problem.integration.improved(error / _SOLVER)
 
     def _settled(
         self,

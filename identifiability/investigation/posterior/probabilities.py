@@ -10,18 +10,19 @@ equations are not exact; with more it is "none of these".
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from math import comb, log
 
 import numpy as np
 
-from identifiability.investigation.fits.candidate import Candidate
+from identifiability.investigation.fits.candidate import Candidate, unfitted
 from identifiability.investigation.posterior.discrepancy import (
     Discrepancy,
     Discrepant,
     discrepancy_of,
 )
 from identifiability.investigation.posterior.evidence import Evaluated, Evaluator
+from identifiability.joint.model import Model
 
 Keys = tuple[str, ...]
 
@@ -33,6 +34,7 @@ _CONTENDS = 12.0  # nats that a set may be behind, for a discrepancy to be put b
 _MOST_BESIDE, _BEST_OF_SIZE = 6, 2
 _LOST = 60.0  # nats behind the best from which a set is not fitted any further
 _SURE = 3.0  # nats by which values that no joint has must be better, to count
+_DRIFT = "sensor_drift"  # the effect that a discrepancy of the kind "drift" is
 _SAME = 0.5  # nats by which two discrepancies of one size may differ
 
 
@@ -75,7 +77,7 @@ class Probabilities:
     unknown : tuple of str
         Of "none of these", the known effects beside which something unknown is most probable.
     candidates : mapping of tuple of str to Candidate
-        Each set as it was weighed, or the fit that it was weighed from.
+        Each set as it was weighed, to be fitted from there.
     failures : mapping of str to str
         Models that could not be evaluated, and why.
     """
@@ -146,6 +148,25 @@ def _matched(effects: Sequence[str], sets: Sequence[set[str]]) -> bool:
     )
 
 
+@dataclass(frozen=True, eq=False)
+class _Forms:
+    """Sets whose equations are not exact, or beside which there is something unknown.
+
+    Attributes
+    ----------
+    inexact : dict of tuple of str to float
+        Log evidence [nats] of a set whose equations are wrong by no more than they may be.
+    unknown : dict of tuple of str to float
+        Log evidence and log prior of a set and something unknown.
+    beside : dict of tuple of str to Discrepant
+        Each set that was tried, with any discrepancy.
+    """
+
+    inexact: dict[Keys, float] = field(default_factory=dict)
+    unknown: dict[Keys, float] = field(default_factory=dict)
+    beside: dict[Keys, Discrepant] = field(default_factory=dict)
+
+
 @dataclass(eq=False)
 class Weighing:
     """Evaluates candidates as they come, and puts them together.
@@ -155,61 +176,83 @@ class Weighing:
     evaluator : Evaluator
     n_library : int
         Number of effects that could be tried.
+    base : tuple of str
+        Effects of the model that the search starts from: they are no findings.
+    found : dict of tuple of str to Evaluated
+        The best form of each set.
+    taken_up : dict of tuple of str to Evaluated
+        Those that were evaluated to the end.
+    failures : dict of str to str
     """
 
     evaluator: Evaluator
     n_library: int
+    base: Keys = ()
     found: dict[Keys, Evaluated] = field(default_factory=dict)
-    candidates: dict[Keys, Candidate] = field(default_factory=dict)
+    taken_up: dict[Keys, Evaluated] = field(default_factory=dict)
     failures: dict[str, str] = field(default_factory=dict)
 
-    def weigh(self, candidate: Candidate, base: Sequence[str] = ()) -> Evaluated | None:
-        """Evaluate a fitted model; of the forms of one set the best is kept.
+    def weigh(
+        self, model: Model, starts: Sequence[Mapping[str, float]], refined: Sequence[str] = ()
+    ) -> None:
+        """Evaluate a model; of the forms of one set the best is kept.
 
         Parameters
         ----------
-        candidate : Candidate
-        base : sequence of str
-            Effects of the model that the search starts from: they are no findings.
+        model : Model
+        starts : sequence of mapping
+            Values of all its parameters by name.
+        refined : sequence of str
+            Keys of the effects whose refining parameters are free.
         """
-        keys = tuple(sorted(k for k in candidate.keys if k not in base))
-        if candidate.failure:
-            self.failures["+".join(keys)] = candidate.failure
-            return None
+        keys = tuple(sorted(k for k in model.effect_keys if k not in self.base))
+        best = max((f.log_evidence for f in self.found.values()), default=-np.inf)
         try:
             found = self.evaluator.evaluate(
-                candidate.model,
-                [candidate.values] if candidate.thorough else candidate.reached,
-                refined=candidate.refined,
-                scheme=candidate.scheme,
-                least=max((f.log_evidence for f in self.found.values()), default=-np.inf) - _LOST,
+                model, starts, refined=refined, least=best - _LOST, resolved=False
             )
         except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
             self.failures["+".join(keys)] = str(error)
-            return None
+            return
         # Where an imposed angle moves the joint, parameters may lie anywhere on a ridge.
         if not self.evaluator.band.angle_imposed and (why := found.model.objection(found.values)):
             self.failures["+".join(keys)] = why
-            return None
-        if not candidate.thorough:
-            candidate = replace(candidate, values=found.values, reached=(found.values,))
+            return
+        self._keep(keys, found)
+
+    def _keep(self, keys: Keys, found: Evaluated) -> None:
         known = self.found.get(keys)
         if known is None or found.log_evidence > known.log_evidence:
-            self.found[keys], self.candidates[keys] = found, candidate
-        return found
+            self.found[keys] = found
 
     def take_up(self, keys: Keys) -> None:
-        """Evaluate a set further, from where its fit ended."""
+        """Evaluate a set further, from where its fit ended, in steps that are short enough."""
         known = self.found[keys]
+        if self.taken_up.get(keys) is known:
+            return
         try:
             found = self.evaluator.evaluate(
                 known.model, [known.values], refined=known.refined, scheme=known.scheme
             )
-        except (ValueError, ArithmeticError, np.linalg.LinAlgError):
-            return  # what is known stays
-        if found.log_evidence > known.log_evidence:
-            near = replace(self.candidates[keys], values=found.values, reached=(found.values,))
-            self.found[keys], self.candidates[keys] = found, near
+        except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
+            self.failures["+".join(keys)] = str(error)
+        else:
+            # In steps that were too long a model may have seemed better than it is.
+            if found.scheme != known.scheme or found.log_evidence > known.log_evidence:
+                self.found[keys] = found
+        self.taken_up[keys] = self.found[keys]
+
+    def settle(self) -> None:
+        """Take up the sets that come near, until none is left that was not."""
+        while True:
+            ranked = sorted(self.found, key=lambda keys: -self.score(keys))
+            least = self.score(ranked[0]) - _CONTENDS
+            near = [keys for keys in ranked[:_MOST_BESIDE] if self.score(keys) > least]
+            left = [k for k in near if self.taken_up.get(k) is not self.found[k]]
+            if not left:
+                return
+            for keys in left:
+                self.take_up(keys)
 
     def log_prior(self, n_effects: int) -> float:
         """Of one set of so many effects, the unknown counted as one of the library."""
@@ -222,65 +265,81 @@ class Weighing:
     def posterior(self) -> Probabilities:
         """Probabilities of all that was weighed."""
         ranked = sorted(self.found, key=lambda keys: -self.score(keys))
-        best = self.found[ranked[0]]
-        discrepancies = discrepancy_of(self.evaluator, best)
-        exact = {k: self.score(k) for k in self.found}
-        unknown, beside = dict[Keys, float](), dict[Keys, Discrepant]()
-        inexact: dict[Keys, float] = {}
-        near = [k for k in ranked if exact[k] > exact[ranked[0]] - _CONTENDS][:_MOST_BESIDE]
-        # The best of every size too: inexact equations may make up for an effect more.
-        for n in sorted({len(keys) for keys in ranked}):
-            near += [keys for keys in ranked if len(keys) == n][:_BEST_OF_SIZE]
-        for keys in dict.fromkeys(near):
-            if self.found[keys].beyond > _SURE and exact[keys] > exact[ranked[0]] - _CONTENDS:
-                # The same effects with values that no joint has are none of these. By how much more
-                # probable is not known far from what was fitted.
-                more = self.found[keys].log_evidence + self.found[keys].beyond
-                unknown[keys] = more + self.log_prior(len(keys) + 1)
-            one = self._beside(discrepancies, keys)
-            if one is None:
-                continue
-            free, form = one
-            beside[keys] = free
-            if free.kind == "none":
-                continue  # a discrepancy of no size is none
-            # One that the equations' error explains is not something unknown besides.
-            if form.log_evidence < free.log_evidence - _SAME:
-                besides = free.log_evidence + self.log_prior(len(keys) + 1)
-                unknown[keys] = max(besides, unknown.get(keys, -np.inf))
-            inexact[keys] = form.log_evidence
-        named = self._named(inexact)
-        top = max([*named.values(), *unknown.values()])
-        weights = {k: np.exp(v - top) for k, v in named.items()}
-        of_unknown = {k: np.exp(v - top) for k, v in unknown.items()}
-        total = sum(weights.values()) + sum(of_unknown.values())
-        rows = [
-            SetProbability(k, float(w / total), named[k] - self.log_prior(len(k)))
-            for k, w in weights.items()
-        ]
-        first = max(of_unknown, key=lambda k: of_unknown[k], default=())
-        rows.append(
-            SetProbability(
-                None,
-                float(sum(of_unknown.values()) / total),
-                max((d.log_evidence for d in beside.values()), default=-np.inf),
-            )
-        )
-        rows.sort(key=lambda row: -row.probability)
-        chosen = next((r.effects for r in rows if r.effects is not None), ())
-        assert chosen is not None
-        shown = first if rows[0].effects is None else chosen
+        forms = self._forms(ranked)
+        rows = self._rows(self._named(forms.inexact), forms)
+        named = next(row.effects for row in rows if row.effects is not None)
+        unknown = max(forms.unknown, key=lambda keys: forms.unknown[keys], default=())
+        shown = unknown if rows[0].effects is None else named
         return Probabilities(
-            tuple(rows),
+            rows,
             shown,
             self.found[shown].values,
             self.found[shown].weights.estimate.rms,
             self.evaluator.band.scale,
-            beside.get(shown),
-            first,
-            dict(self.candidates),
+            forms.beside.get(shown),
+            unknown,
+            {k: unfitted(f.model, [f.values], f.refined, f.scheme) for k, f in self.found.items()},
             dict(self.failures),
         )
+
+    def _forms(self, ranked: Sequence[Keys]) -> _Forms:
+        """The sets that come near, with their equations inexact, and with something unknown."""
+        discrepancies = discrepancy_of(self.evaluator, self.found[ranked[0]])
+        least, forms = self.score(ranked[0]) - _CONTENDS, _Forms()
+        near = [keys for keys in ranked if self.score(keys) > least][:_MOST_BESIDE]
+        # The best of every size too: inexact equations may make up for an effect more.
+        for n in sorted({len(keys) for keys in ranked}):
+            near += [keys for keys in ranked if len(keys) == n][:_BEST_OF_SIZE]
+        for keys in dict.fromkeys(near):
+            found, besides = self.found[keys], self.log_prior(len(keys) + 1)
+            if found.beyond > _SURE and self.score(keys) > least:
+                # The same effects with values that no joint has are none of these. By how much more
+                # probable is not known far from what was fitted.
+                forms.unknown[keys] = found.log_evidence + found.beyond + besides
+            one = self._beside(discrepancies, keys)
+            if one is None:
+                continue
+            free, form = one
+            forms.beside[keys] = free
+            if free.kind == "none":
+                continue  # a discrepancy of no size is none
+            # One that the equations' error explains is not something unknown besides.
+            if self._drifts(keys, free):
+                drifting = tuple(sorted((*keys, _DRIFT)))
+                known = forms.inexact.get(drifting, -np.inf)
+                forms.inexact[drifting] = max(free.log_evidence, known)
+            elif form.log_evidence < free.log_evidence - _SAME:
+                known = forms.unknown.get(keys, -np.inf)
+                forms.unknown[keys] = max(free.log_evidence + besides, known)
+            known = forms.inexact.get(keys, -np.inf)
+            forms.inexact[keys] = max(form.log_evidence, known)
+        return forms
+
+    def _drifts(self, keys: Keys, free: Discrepant) -> bool:
+        """Whether a discrepancy is a drift of the recorder, which is known, in another form."""
+        if _DRIFT in keys or tuple(sorted((*keys, _DRIFT))) not in self.found:
+            return False
+        others = np.sqrt(sum(size**2 for kind, size in free.sizes.items() if kind != "drift"))
+        return free.kind == "drift" and others <= self._tolerated(keys)
+
+    def _tolerated(self, keys: Keys) -> float:
+        """Discrepancy, over the response, that inexact equations of a set may leave."""
+        explained = self._explained(self.found[keys]) / self.evaluator.band.scale
+        return max(_FORM * explained, _TRIFLE)
+
+    def _rows(self, named: Mapping[Keys, float], forms: _Forms) -> tuple[SetProbability, ...]:
+        """Probabilities from their logarithms, which lack a constant."""
+        top = max([*named.values(), *forms.unknown.values()])
+        weights = {keys: np.exp(value - top) for keys, value in named.items()}
+        of_unknown = sum(np.exp(value - top) for value in forms.unknown.values())
+        total = sum(weights.values()) + of_unknown
+        rows = [
+            SetProbability(keys, float(w / total), named[keys] - self.log_prior(len(keys)))
+            for keys, w in weights.items()
+        ]
+        most = max((d.log_evidence for d in forms.beside.values()), default=-np.inf)
+        rows.append(SetProbability(None, float(of_unknown / total), most))
+        return tuple(sorted(rows, key=lambda row: -row.probability))
 
     def _named(self, inexact: Mapping[Keys, float]) -> dict[Keys, float]:
         """Log of what is proportional to the probability of each set, its equations exact or not.
@@ -320,11 +379,10 @@ class Weighing:
         found = self.found[keys]
         try:
             free = discrepancies.beside(found)
-            scale = self.evaluator.band.scale
-            most = max(_FORM * self._explained(found), _TRIFLE * scale)
-            if free.size * scale <= most:
+            most = self._tolerated(keys)
+            if free.size <= most:
                 return free, free
-            return free, discrepancies.beside(found, most)
+            return free, discrepancies.beside(found, most * self.evaluator.band.scale)
         except (ValueError, np.linalg.LinAlgError) as error:
             self.failures[f"{'+'.join(keys)} and a discrepancy"] = str(error)
             return None

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 from identifiability.errors import InputError
-from identifiability.investigation.fits.candidate import Candidate, unfitted
-from identifiability.investigation.posterior.evidence import Evaluator
+from identifiability.inference.starts import refined_values, starting_values
+from identifiability.investigation.fits.candidate import Candidate
+from identifiability.investigation.posterior.evidence import Evaluated, Evaluator
 from identifiability.investigation.posterior.probabilities import Keys, Probabilities, Weighing
 from identifiability.investigation.posterior.signatures import strongest
-from identifiability.investigation.search.fitter import refinable
-from identifiability.investigation.search.ranking import Ranker
+from identifiability.joint.effects import Effect
 from identifiability.joint.model import Model
+from identifiability.progress import Progress, silent
 
 _SEEN = 6  # effects that are added to a set that has effects already
+_STARTS = 6  # of a single effect
 _TAKEN_UP = 3  # sets of one size that are evaluated further, at most
 _REFINED = 3  # sets of one size that are refined, at most
 _WORTH_REFINING = 3.0  # nats before K, B and I alone
@@ -23,7 +25,13 @@ _NEAR = 12.0  # nats behind the best single effect, within which another is enla
 _EXCHANGED = 2  # effects up to which each is tried without the one that was found before it
 
 
-def weigh(ranker: Ranker, evaluator: Evaluator, baseline: Candidate, most: int) -> Probabilities:
+def weigh(
+    evaluator: Evaluator,
+    baseline: Candidate,
+    library: Mapping[str, type[Effect]],
+    most: int,
+    progress: Progress = silent,
+) -> Probabilities:
     """Weigh the sets of effects that may be missing.
 
     All single effects are, the most probable ones refined too. The most probable set is enlarged by
@@ -34,23 +42,26 @@ def weigh(ranker: Ranker, evaluator: Evaluator, baseline: Candidate, most: int) 
 
     Parameters
     ----------
-    ranker : Ranker
-        Fits the candidates.
     evaluator : Evaluator
     baseline : Candidate
-        The model to start from.
+        The model to start from, fitted.
+    library : mapping of str to type of Effect
+        Effects to be tried.
     most : int
         Most effects to add.
+    progress : callable
+        Told ``(what, done, total)``.
 
     Raises
     ------
     InputError
         Where the model to start from cannot be evaluated.
     """
-    search = _Search(ranker, Weighing(evaluator, len(ranker.library)), baseline)
-    search.add("K, B and I", [baseline])
-    if () not in search.weighing.found:
-        raise InputError(f"the model to start from has no evidence: {search.weighing.failures['']}")
+    weighing = Weighing(evaluator, len(library), baseline.keys)
+    search = _Search(weighing, library, progress)
+    search.add("K, B and I", [(baseline.model, [baseline.values], baseline.refined)])
+    if () not in weighing.found:
+        raise InputError(f"the model to start from has no evidence: {weighing.failures['']}")
     search.enlarge(())
     for size in range(2, most + 1):
         before = search.best(size - 1)
@@ -64,22 +75,28 @@ def weigh(ranker: Ranker, evaluator: Evaluator, baseline: Candidate, most: int) 
             if left is None:
                 break
             search.enlarge(left)
-    return search.weighing.posterior()
+    weighing.settle()
+    return weighing.posterior()
+
+
+Job = tuple[Model, Sequence[Mapping[str, float]], Sequence[str]]
+"""A model, values to start from, and keys of its effects that are refined."""
 
 
 @dataclass(eq=False)
 class _Search:
-    ranker: Ranker
     weighing: Weighing
-    baseline: Candidate
+    library: Mapping[str, type[Effect]]
+    progress: Progress
     enlarged: list[Keys] = field(default_factory=list)
     refined: set[Keys] = field(default_factory=set)
     plain: dict[Keys, float] = field(default_factory=dict)
 
-    def add(self, what: str, candidates: Sequence[Candidate]) -> None:
-        for i, candidate in enumerate(candidates):
-            self.ranker.progress(f"weighing {what}", i, len(candidates))
-            self.weighing.weigh(candidate, self.baseline.keys)
+    def add(self, what: str, jobs: Sequence[Job]) -> None:
+        """Weigh some models, and say how far this has come."""
+        for i, job in enumerate(jobs):
+            self.progress(f"weighing {what}", i, len(jobs))
+            self.weighing.weigh(*job)
         # Before any is refined: a set is compared with others in one form.
         for keys, found in self.weighing.found.items():
             self.plain.setdefault(keys, found.log_evidence)
@@ -87,35 +104,39 @@ class _Search:
     def enlarge(self, keys: Keys) -> None:
         """Add every effect to a set whose signature is in what it leaves; refine the best."""
         self.enlarged.append(keys)
-        current = self.weighing.candidates[keys]
-        named = " + ".join(["K, B, I", *keys])
+        known = self.weighing.found
+        current = known[keys]
         more = {
             key: effect
-            for key, effect in self.ranker.library.items()
-            if key not in current.keys and tuple(sorted((*keys, key))) not in self.weighing.found
+            for key, effect in self.library.items()
+            if key not in current.model.effect_keys and tuple(sorted((*keys, key))) not in known
         }
-        what = f"what may be added to {named}"
-        if not keys:
-            jobs = [(current.model + effect(), key) for key, effect in more.items()]
-            fitted = self.ranker.fit_all(f"adding to {named}", jobs, current)
-            self.add(what, [c for _, c in fitted])
-        else:
-            found = self.weighing.found
-            alone = {k: found[k,].values for k in more if (k,) in found}
-            seen = strongest(self.weighing.evaluator, found[keys], more, alone, _SEEN)
-            # Fitted by the noise that they leave alone: another fit is for what is named.
-            models = [current.model + more[key]() for key in seen]
-            self.add(what, [self._unfitted(model, current) for model in models])
-            for near in self._ranked(len(keys) + 1)[:_TAKEN_UP]:
-                self.weighing.take_up(near)
+        alone = {key: known[key,].values for key in more if (key,) in known}
+        most = _SEEN if keys else len(more)
+        seen = strongest(self.weighing.evaluator, current, more, alone, most)
+        jobs = [self._enlarged(current, more[key](), alone.get(key, {})) for key in seen]
+        self.add(f"what may be added to {' + '.join(['K, B, I', *keys])}", jobs)
+        for near in self._ranked(len(keys) + 1)[:_TAKEN_UP]:
+            self.weighing.take_up(near)
         self._refine(len(keys) + 1)
 
-    def _unfitted(
-        self, model: Model, near: Candidate, more: Sequence[str] | None = None
-    ) -> Candidate:
-        refined = near.refined if more is None else tuple(more)
-        starts = self.ranker.fitter.starts(model, near, refined)
-        return unfitted(model, starts, refined, near.scheme)
+    def _enlarged(self, current: Evaluated, effect: Effect, alone: Mapping[str, float]) -> Job:
+        """A set with one effect more, from its own values and the effect's alone."""
+        model, values = current.model + effect, current.values
+        if not current.model.effect_keys:
+            return model, starting_values(model, values, most=_STARTS), current.refined
+        starts = starting_values(model, values, most=2)
+        shape = {
+            name: value
+            for name, value in alone.items()
+            if name.startswith(f"{effect.key}.") and model.parameters[name].null is None
+        }
+        if shape:
+            # A shape that served once is a better start than the nominal one.
+            starts[:1] = starting_values(model, {**values, **shape}, most=1)
+        # With a second effect the first one may have to take another shape.
+        joint = {name: values[name] for name in ("K", "B", "I")}
+        return model, starts + starting_values(model, joint, most=1), current.refined
 
     def _refine(self, size: int) -> None:
         """Free the refining parameters of the best sets of a size."""
@@ -125,20 +146,20 @@ class _Search:
         for keys in ranked:
             behind = self.plain[ranked[0]] - self.plain[keys]
             gain = found[keys].log_evidence - found[()].log_evidence
-            plain = self.weighing.candidates[keys]
+            plain = found[keys]
             if keys in self.refined or behind > _BEHIND or gain < _WORTH_REFINING:
                 continue
             self.refined.add(keys)
             for key in keys:
-                if not refinable(plain, key):
+                if key in plain.refined or not plain.model.effect(key).has_refinement:
                     continue
-                more = (*plain.refined, key)
-                richer = (
-                    self.ranker.fitter.refine(plain, more)
-                    if size == 1
-                    else self._unfitted(plain.model, plain, more)
-                )
-                self.add(f"{key}, refined", [richer])
+                free = [
+                    name
+                    for name, parameter in plain.model.parameters.items()
+                    if parameter.plain is None or name.split(".")[0] in plain.refined
+                ]
+                starts = refined_values(plain.model, plain.values, free)
+                self.add(f"{key}, refined", [(plain.model, starts, (*plain.refined, key))])
 
     def _ranked(self, size: int) -> list[Keys]:
         """Sets of a size, the best first."""

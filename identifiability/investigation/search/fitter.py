@@ -6,9 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
-import numpy as np
-
-from identifiability.inference.starts import starting_values
+from identifiability.inference.starts import refined_values, starting_values
 from identifiability.investigation.fits.bench import Workbench
 from identifiability.investigation.fits.candidate import Candidate
 from identifiability.joint.model import Model
@@ -61,7 +59,7 @@ class Fitter:
         names = model.parameter_names
         shared = {name: value for name, value in near.values.items() if name in names}
         if len(shared) == len(names) and set(refined) != set(near.refined):
-            return _refinements(model, near)
+            return refined_values(model, near.values, near.free)
         if not near.keys:
             return starting_values(model, shared, most=6)
         starts = starting_values(model, shared, most=2)
@@ -120,32 +118,4 @@ class Fitter:
 
 def refinable(candidate: Candidate, key: str) -> bool:
     """Whether an effect of a candidate has refining parameters that are not free."""
-    return key not in candidate.refined and any(
-        p.plain is not None and name.startswith(f"{key}.")
-        for name, p in candidate.model.parameters.items()
-    )
-
-
-def _refinements(model: Model, near: Candidate) -> list[dict[str, float]]:
-    """Starts of the refined model: the plain optimum, and its refinements one way and the other."""
-    starts = [dict(near.values)]
-    new = {
-        name: (p, p.plain)
-        for name, p in model.parameters.items()
-        if p.plain is not None and name not in near.free
-    }
-    own = {name.split(".")[0] for name in new}
-    for side in (1.0, -1.0):
-        start = dict(near.values)
-        for name, (p, plain) in new.items():
-            # Most of the way to one side and, where there is one, to the other.
-            room = p.upper - plain if side > 0 or p.lower >= plain else p.lower - plain
-            start[name] = plain + float(np.clip(0.8 * room, -0.5, 0.8))
-        starts.append(start)
-        # The plain form may have gone astray for want of the refinement.
-        fresh = dict(start)
-        for name, p in model.parameters.items():
-            if name.split(".")[0] in own and p.plain is None and p.null is None:
-                fresh[name] = p.nominal
-        starts.append(fresh)
-    return starts
+    return key not in candidate.refined and candidate.model.effect(key).has_refinement

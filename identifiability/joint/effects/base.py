@@ -77,6 +77,11 @@ class Effect(ABC):
     refines: ClassVar[tuple[str, ...]] = ()
     references: ClassVar[tuple[str, ...]] = ()
 
+    @property
+    def has_refinement(self) -> bool:
+        """Whether some of its parameters only refine it: see `Parameter.plain`."""
+        return any(parameter.plain is not None for parameter in self.parameters)
+
     def torque(
         self, p: Sequence[Array], motion: Motion, states: Array, delayed: Motion
     ) -> ArrayLike:
