@@ -205,7 +205,7 @@ def test_nothing_is_added_where_nothing_is_missing(seed):
 
 def test_the_missing_effect_is_found_and_the_error_falls_to_the_floor():
     model = KBI() + EFFECTS["cubic_stiffness"]()
-    values = JOINT | {"cubic_stiffness.coefficient": 120.0}
+    values = JOINT | {"cubic_stiffness.coefficient": 120.0, "cubic_stiffness.centre": 0.0}
     study = Investigation(
         trials(model, values), trials(model, values, seed=9, conditions=HELD), library=SMALL
     )
@@ -296,7 +296,9 @@ def test_where_the_model_without_an_effect_has_no_fit_its_rivals_are_fitted_all_
     monkeypatch,
 ):
     model = KBI() + EFFECTS["cubic_stiffness"]()
-    data = trials(model, JOINT | {"cubic_stiffness.coefficient": 120.0})
+    data = trials(
+        model, JOINT | {"cubic_stiffness.coefficient": 120.0, "cubic_stiffness.centre": 0.0}
+    )
     study = Investigation(data, library=SMALL)
     first, final = study.baseline, study.fit(model + EFFECTS["sensor_delay"]())
     library = {key: EFFECTS[key] for key in ("cubic_stiffness", "series_tendon")}
@@ -318,7 +320,7 @@ def test_where_the_model_without_an_effect_has_no_fit_its_rivals_are_fitted_all_
 
 def test_a_ranking_does_not_depend_on_what_was_asked_before():
     model = KBI() + EFFECTS["cubic_stiffness"]()
-    values = JOINT | {"cubic_stiffness.coefficient": 120.0}
+    values = JOINT | {"cubic_stiffness.coefficient": 120.0, "cubic_stiffness.centre": 0.0}
     study = Investigation(
         trials(model, values), trials(model, values, seed=9, conditions=HELD), library=SMALL
     )
@@ -340,7 +342,7 @@ def test_a_ranking_does_not_depend_on_what_was_asked_before():
 
 def test_a_convention_can_be_changed():
     model = KBI() + EFFECTS["cubic_stiffness"]()
-    values = JOINT | {"cubic_stiffness.coefficient": 120.0}
+    values = JOINT | {"cubic_stiffness.coefficient": 120.0, "cubic_stiffness.centre": 0.0}
     hidden = trials(model, values), trials(model, values, seed=9, conditions=HELD)
     library = {"cubic_stiffness": EFFECTS["cubic_stiffness"]}
     for decisive, keys in ((10.0, ("cubic_stiffness",)), (1e6, ())):
@@ -350,7 +352,7 @@ def test_a_convention_can_be_changed():
 
 def test_no_search_below_an_error_of_measurement():
     model = KBI() + EFFECTS["cubic_stiffness"]()
-    values = JOINT | {"cubic_stiffness.coefficient": 120.0}
+    values = JOINT | {"cubic_stiffness.coefficient": 120.0, "cubic_stiffness.centre": 0.0}
     study = Investigation([record_that_grows(model, values)], library=SMALL)
     found = study.search()
     assert found.final.keys == ("cubic_stiffness",)

@@ -96,7 +96,10 @@ def findings(model, values=()):
 
 
 TENDON = KBI() + SeriesTendon(), (("B", 3.0), ("series_tendon.stiffness", 100.0))
-CUBIC = KBI() + CubicStiffness(), (("K", 20.0), ("cubic_stiffness.coefficient", 800.0))
+CUBIC = (
+    KBI() + CubicStiffness(),
+    (("K", 20.0), ("cubic_stiffness.coefficient", 800.0), ("cubic_stiffness.centre", 0.0)),
+)
 FAST_REFLEX = (
     ("stretch_reflex.position_gain", 20.0),
     ("stretch_reflex.velocity_gain", 2.0),

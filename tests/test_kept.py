@@ -113,7 +113,7 @@ Earlier.__name__ = Later.__name__ = "Own"
 def test_an_effect_of_ones_own_with_another_equation_is_another_fit(tmp_path, split, fits):
     def ask(effect):
         Workbench(split, kept=OnDisk(tmp_path)).fit(
-            KBI() + effect(), [JOINT | {"own.coefficient": 1.0}], thorough=False
+            KBI() + effect(), [JOINT | {"own.coefficient": 1.0, "own.centre": 0.0}], thorough=False
         )
 
     ask(Earlier)

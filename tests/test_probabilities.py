@@ -35,6 +35,7 @@ from identifiability.investigation.posterior.probabilities import (
     SetProbability,
     Weighing,
 )
+from identifiability.investigation.posterior.search import _Search
 from identifiability.investigation.session import Investigation
 from identifiability.investigation.verdict.by_probability import by_probability, claim_of
 from identifiability.investigation.verdict.judge import Verdict
@@ -50,6 +51,7 @@ from identifiability.measurement.perturbations import SampledTorque, imposed_mot
 from identifiability.measurement.prepared import prepare_whole_band
 from identifiability.measurement.splitting import hold_out
 from identifiability.measurement.trials import Trial
+from identifiability.progress import silent
 
 ANATOMY = Anatomy(0.08, 6.0, 0.2, 20.0, 0.8)
 START = {"K": 20.0, "B": 1.0, "I": 0.07}
@@ -392,12 +394,9 @@ def test_trials_of_several_rates_are_brought_to_the_lowest():
 def weighing_of(moved, log_evidence):
     """Sets with these predictions and evidence, and nothing else."""
     found = {
-        keys: Evaluated(
-            KBI(), {}, (), None, np.zeros(3), None, value, None, None, None, None,
-            [np.asarray(moved[keys], float)[:, None]],
-        )
+        keys: replace(evaluated_as(value, KBI(), {}), raw=[np.asarray(moved[keys], float)[:, None]])
         for keys, value in log_evidence.items()
-    }  # fmt: skip
+    }
     return Weighing(None, 15, found=found)
 
 
@@ -411,6 +410,37 @@ def test_a_small_second_effect_may_only_mend_the_equations_of_the_first(added, s
     named = weighing._named({})
     odds = np.exp(named["gravity", "second_mass"] - named["gravity",])
     assert odds > 1e6 if sure else 1 < odds < 10
+
+
+class Pretended:
+    """A weighing in which every refined form is better by far."""
+
+    def __init__(self, **plain):
+        self.found, self.asked = {}, []
+        for name, value in plain.items():
+            keys = () if name == "nothing" else (name,)
+            model = sum((EFFECTS[k]() for k in keys), start=KBI())
+            values = dict(zip(model.parameter_names, model.nominal, strict=True))
+            self.found[keys] = evaluated_as(value, model, values)
+
+    def weigh(self, model, starts, refined=()):
+        self.asked.append(model.effect_keys)
+        self.found[model.effect_keys] = evaluated_as(1000.0, model, starts[0], tuple(refined))
+
+
+def evaluated_as(value, model, values, refined=()):
+    return Evaluated(
+        model, values, refined, None, np.zeros(3), None, value, None, None, None, None, []
+    )
+
+
+def test_sets_are_compared_in_one_form():
+    """What was refined first does not keep from being refined what it was level with before."""
+    weighing = Pretended(nothing=0.0, stretch_reflex=300.0, activation_lag=290.0, gravity=100.0)
+    search = _Search(weighing, EFFECTS, silent)
+    search.add("nothing", [])
+    search._refine(1)
+    assert weighing.asked == [("stretch_reflex",), ("activation_lag",)]
 
 
 # Claims

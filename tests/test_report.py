@@ -47,7 +47,10 @@ def test_the_smallest_effect_that_would_be_seen_is_seen(quiet_study):
     smallest = {d.key: d for d in detectable(quiet_study.bench, kbi, SMALL)}["cubic_stiffness"]
     model = KBI() + EFFECTS["cubic_stiffness"]()
     for factor, found in ((3.0, "cubic_stiffness"), (1 / 3, "")):
-        values = JOINT | {"cubic_stiffness.coefficient": factor * smallest.size}
+        values = JOINT | {
+            "cubic_stiffness.coefficient": factor * smallest.size,
+            "cubic_stiffness.centre": 0.0,
+        }
         study = Investigation(
             trials(model, values), trials(model, values, seed=9, conditions=HELD), library=SMALL
         )
@@ -57,7 +60,7 @@ def test_the_smallest_effect_that_would_be_seen_is_seen(quiet_study):
 def test_a_larger_torque_tells_springs_apart_better(quiet_study):
     """Cubic against quadratic stiffness: evidence grows with the size of the motion."""
     study = quiet_study
-    shared = JOINT | {"cubic_stiffness.coefficient": 5.0}
+    shared = JOINT | {"cubic_stiffness.coefficient": 5.0, "cubic_stiffness.centre": 0.0}
     cubic = KBI() + EFFECTS["cubic_stiffness"]()
     candidate = replace(
         study.fit(KBI()),
@@ -199,7 +202,7 @@ def test_a_failed_candidate_is_shown_and_does_not_stop_the_rest(tmp_path):
             return p[0] * motion.angle / 0.0
 
     model = KBI() + EFFECTS["cubic_stiffness"]()
-    values = JOINT | {"cubic_stiffness.coefficient": 120.0}
+    values = JOINT | {"cubic_stiffness.coefficient": 120.0, "cubic_stiffness.centre": 0.0}
     findings = investigate(
         trials(model, values),
         trials(model, values, seed=9, conditions=HELD),
