@@ -121,13 +121,13 @@ class Band:
         ]
         return float(np.sqrt(np.mean(np.concatenate(levelled) ** 2)))
 
-    def probes(self, sd: float, seed: int) -> list[Observation]:
-        """The same observations with noise of this standard deviation [rad] in the angle.
+    def probed(self, sd: float, seed: int) -> list[np.ndarray]:
+        """Angles of the trials with noise of this standard deviation [rad].
 
         Of even power at all frequencies: chance would give a narrow resonance what to feed on.
         """
         random = np.random.default_rng(seed)
-        out: list[Observation] = []
+        out = []
         for p in self.prepared:
             n = p.trial.n_samples
             phases = random.uniform(0.0, 2 * np.pi, n // 2 + 1)
@@ -135,8 +135,14 @@ class Band:
             noise /= noise.std()
             if self.every > 1:
                 noise = _halve(noise) / np.sqrt(np.sum(_HALF_BAND**2))
-            drive = imposed_motion(p.trial.time, p.trial.angle + sd * noise)
-            out += pieces(replace(p, drive=drive), Noise(1.0))
+            out.append(p.trial.angle + sd * noise)
+        return out
+
+    def moved(self, angles: Sequence[np.ndarray]) -> list[Observation]:
+        """The observations, moved by other angles [rad], one by trial."""
+        out: list[Observation] = []
+        for p, angle in zip(self.prepared, angles, strict=True):
+            out += pieces(replace(p, drive=imposed_motion(p.trial.time, angle)), Noise(1.0))
         return out
 
     @property

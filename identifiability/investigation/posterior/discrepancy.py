@@ -7,6 +7,10 @@ shift of the recorder, and the model's own parameters, if they are not the same 
 kind has one size, of highest evidence. What is not the same in every
 trial is noise, of whatever colour.
 
+Noise of an imposed angle is in what a discrepancy would be made of, too. A torque with memory could
+filter that noise away, as Wiener's filter would, and is no physics. So what the noise adds to the
+columns is taken off, as it is of the model's own parameters, by probes: see `_known`.
+
 A model is as exact as its equations. So a model whose effects need a discrepancy of no more than a
 tenth of what they explain is still that model; one that needs more is that model and something
 unknown.
@@ -15,7 +19,7 @@ unknown.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -42,6 +46,7 @@ _MOST_ACTIVE = 0.25  # share of the samples that may go into directions of the d
 _AROUND = 0.05  # s, over which a motion is lively
 _SHARES_TRIED, _LEAST_VARIANCE = 41, 1e-6
 _LEAST_NET = 0.02  # share of a kind that must be beyond a model's parameters, to be sized by it
+_RIDGE = 1e-10  # of columns that repeat each other
 _WORTH = 1.0  # nats below which no discrepancy is looked for any further
 
 
@@ -69,6 +74,21 @@ class Motion:
     def time(self) -> np.ndarray:
         """Time [s] since the first sample, shape (n,)."""
         return np.arange(self.angle.size) * self.interval
+
+
+@dataclass(frozen=True, eq=False)
+class Columns:
+    """What the units of one kind of discrepancy add to the response, by stretch.
+
+    Attributes
+    ----------
+    there : list of array, shape (n, m)
+    probed : list of array, shape (n, m)
+        What probes of noise in an imposed angle add to these; none without.
+    """
+
+    there: list[np.ndarray]
+    probed: list[np.ndarray]
 
 
 @dataclass(frozen=True, eq=False)
@@ -107,58 +127,54 @@ class Discrepancy:
     evaluator : Evaluator
     motion : sequence of Motion
         That took place in each trial, as a model that fits well says.
+    probed : sequence of Motion
+        The same with more noise of the angle, where it was imposed; else none.
     """
 
     evaluator: Evaluator
     motion: Sequence[Motion]
+    probed: Sequence[Motion] = ()
 
     @cached_property
-    def columns(self) -> Mapping[str, list[np.ndarray]]:
+    def columns(self) -> Mapping[str, Columns]:
         """By kind, what each unit adds to the response, by stretch; of size 1 all together."""
         joint = self.evaluator.reference.joint
         values = {"K": max(float(joint[0]), 1e-3), "B": max(float(joint[1]), 1e-4)}
-        respond = _response(self.evaluator, self.motion)
-        terms = Terms(self.motion, respond, values)
+        every, n = [*self.motion, *self.probed], len(self.motion)
+        respond = _response(self.evaluator, every)
+        terms = Terms(every, respond, values)
         found = {
-            "static": [_reduced(terms.static())],
-            "hysteresis": [_reduced(terms.hysteresis())],
+            "static": [_reduced(terms.static(), n)],
+            "hysteresis": [_reduced(terms.hysteresis(), n)],
             "memory": [
-                _reduced(terms.memory("memory", lambda v: v)),
-                _reduced(terms.memory("memory_positive", lambda v: np.maximum(v, 0))),
+                _reduced(terms.memory("memory", lambda v: v), n),
+                _reduced(terms.memory("memory_positive", lambda v: np.maximum(v, 0)), n),
             ],
-            "drift": [_reduced(terms.common_drift())],
-            "varying": [self._varying(values, respond)],
+            "drift": [_reduced(terms.common_drift(), n)],
+            "varying": [_varying(every, values, respond)],
         }
         # The rate of a torque that is predicted from a noisy angle is noise more than motion.
         if not self.evaluator.band.angle_imposed:
-            found["sensor"] = [_reduced(terms.sensor())]
+            found["sensor"] = [_reduced(terms.sensor(), n)]
         return {
             kind: self._compared([np.hstack(c) for c in zip(*parts, strict=True)])
             for kind, parts in found.items()
         }
 
-    def _varying(self, values: Mapping[str, float], respond: Response) -> list[np.ndarray]:
-        longest = max(m.time[-1] for m in self.motion)
-        nodes = np.arange(
-            0.0, longest + _VARYING_STEP, max(_VARYING_STEP, longest / _VARYING_NODES)
-        )
-        out = []
-        for m in self.motion:
-            at = interpolation(m.time, nodes)
-            spring = values["K"] * m.angle[:, None] * at
-            dashpot = values["B"] * m.velocity[:, None] * at
-            out.append(respond.to(np.hstack([spring, dashpot]), m.interval))
-        return out
-
-    def _compared(self, by_trial: list[np.ndarray]) -> list[np.ndarray]:
+    def _compared(self, by_trial: list[np.ndarray]) -> Columns:
         """Columns of a kind at the samples that are compared."""
-        band = self.evaluator.band
-        every = np.concatenate(by_trial)
-        size = float(np.sqrt(np.mean(np.sum(every**2, axis=1))))
-        return [
-            by_trial[trial][span][:: band.every] / max(size, 1e-300)
-            for span, trial in zip(band.spans, band.trial, strict=True)
-        ]
+        band, n = self.evaluator.band, len(self.motion)
+        size = _size(by_trial[:n])
+        there, probed = (
+            [
+                each[trial][span][:: band.every] / size
+                for span, trial in zip(band.spans, band.trial, strict=True)
+            ]
+            if each
+            else []
+            for each in (by_trial[:n], by_trial[n:])
+        )
+        return Columns(there, [b - a for a, b in zip(there, probed, strict=False)])
 
     def beside(self, found: Evaluated, most: float | None = None) -> Discrepant:
         """A model with a discrepancy, noise and discrepancy estimated in turn.
@@ -180,7 +196,7 @@ class Discrepancy:
     def _lively(self) -> np.ndarray:
         return np.concatenate(liveliness(self.evaluator.band))
 
-    def _inconstant(self, found: Evaluated) -> tuple[list[np.ndarray], float]:
+    def _inconstant(self, found: Evaluated) -> tuple[Columns, float]:
         """What a model's parameters do if they are not the same from trial to trial.
 
         Or from one part of a long record to the next. A description of what it does not know has
@@ -191,18 +207,25 @@ class Discrepancy:
         longest = max(p.trial.duration for p in band.prepared)
         parts = max(1, round(_PARTS / len(band.prepared)))
         nodes = np.linspace(0.0, longest, parts + 1) if parts > 1 else np.zeros(1)
-        columns = []
-        for raw, span, trial in zip(found.raw, band.spans, band.trial, strict=True):
-            time = np.arange(span.start, span.stop)[:: band.every] * band.prepared[trial].interval
-            weight = interpolation(time, nodes) if parts > 1 else np.ones((time.size, 1))
-            own = (raw[:, 1:] * found.x)[:, :, None] * weight[:, None, :]
-            own = own.reshape(time.size, -1)
-            placed = np.zeros((time.size, len(band.prepared), own.shape[1]))
-            placed[:, trial] = own
-            columns.append(placed.reshape(time.size, -1))
-        kept = _largest(columns, min(_MOST_INCONSTANT, band.n_samples // 4))
-        size = float(np.sqrt(np.mean(np.sum(np.concatenate(kept) ** 2, axis=1))))
-        return [c / max(size, 1e-300) for c in kept], size
+
+        def placed(derivatives: Sequence[np.ndarray]) -> list[np.ndarray]:
+            out = []
+            for columns, span, trial in zip(derivatives, band.spans, band.trial, strict=True):
+                time = np.arange(span.start, span.stop)[:: band.every]
+                time = time * band.prepared[trial].interval
+                weight = interpolation(time, nodes) if parts > 1 else np.ones((time.size, 1))
+                own = ((columns * found.x)[:, :, None] * weight[:, None, :]).reshape(time.size, -1)
+                whole = np.zeros((time.size, len(band.prepared), own.shape[1]))
+                whole[:, trial] = own
+                out.append(whole.reshape(time.size, -1))
+            return out
+
+        columns = placed([raw[:, 1:] for raw in found.raw])
+        largest = _largest(columns, min(_MOST_INCONSTANT, band.n_samples // 4))
+        kept = [c @ largest for c in columns]
+        size = _size(kept)
+        probed = placed([probe[:, 1:] for probe in found.probes]) if found.probes else []
+        return Columns([c / size for c in kept], [c @ largest / size for c in probed]), size
 
 
 @dataclass(frozen=True, eq=False)
@@ -210,7 +233,7 @@ class _Beside:
     """Discrepancies of one model, by kind, what each unit adds to the response, by stretch."""
 
     evaluator: Evaluator
-    columns: Mapping[str, list[np.ndarray]]
+    columns: Mapping[str, Columns]
     caps: np.ndarray
     lively: np.ndarray
 
@@ -221,12 +244,19 @@ class _Beside:
 
     @cached_property
     def _all(self) -> list[np.ndarray]:
-        return [np.hstack(parts) for parts in zip(*self.columns.values(), strict=True)]
+        parts = zip(*(columns.there for columns in self.columns.values()), strict=True)
+        return [np.hstack(part) for part in parts]
+
+    @cached_property
+    def _noise(self) -> list[np.ndarray]:
+        """What probes add to them; empty without."""
+        parts = zip(*(columns.probed for columns in self.columns.values()), strict=True)
+        return [np.hstack(part) for part in parts]
 
     @cached_property
     def _owner(self) -> np.ndarray:
         """Number of the kind that each column belongs to."""
-        widths = [parts[0].shape[1] for parts in self.columns.values()]
+        widths = [columns.there[0].shape[1] for columns in self.columns.values()]
         return np.repeat(np.arange(len(widths)), widths)
 
     def of(self, found: Evaluated) -> Discrepant:
@@ -246,10 +276,14 @@ class _Beside:
             shared = here.directions.T @ white
             taken = np.linalg.solve(here.precision, shared)
             inner = white.T @ white - shared.T @ taken
-            # What the parameters could take over is theirs, noise of the angle not taken off: it
-            # has no torque of its own to be found in what is left.
+            # What the parameters could take over is theirs.
             slope = here.directions.T @ here.white
             along = white.T @ here.white - taken.T @ slope
+            if here.probes:
+                noise = here.weights.gain * here.weights.whitened(self._noise)
+                own = here.weights.gain * here.weights.whitened(here.probes)
+                noise -= own[:, 1:] @ here.turns @ taken
+                inner, along = _known(inner, along, noise, own[:, 0])
             gain, sizes, mean = self._sized(inner, along, sizes)
             there = int(np.sum(sizes > _COUNTS * band.scale))
             log_evidence = here.log_evidence + gain - there * np.log(_LOG_RANGE)
@@ -333,16 +367,54 @@ class _Beside:
         return float(np.sqrt(np.mean(response**2)) / self.evaluator.band.scale)
 
 
-def _net(columns: Mapping[str, list[np.ndarray]], found: Evaluated) -> dict[str, list[np.ndarray]]:
+def _known(
+    inner: np.ndarray, along: np.ndarray, noise: np.ndarray, residual: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """What is known of the weights of columns that noise is in.
+
+    Corrected for it, least squares are without bias: `inner` less the noise's own, `along` less
+    what the same noise has in common with the residual. Their weights vary by as much as without
+    the correction, so where noise is most of the columns little is known of them (the information
+    of Godambe 1960, Ann Math Stat 31:1208-1211).
+
+    Parameters
+    ----------
+    inner : array, shape (m, m)
+        Of the whitened columns.
+    along : array, shape (m,)
+        Of columns and residual.
+    noise : array, shape (n, m)
+        In the columns.
+    residual : array, shape (n,)
+        The same noise in the residual.
+
+    Returns
+    -------
+    array, shape (m, m)
+    array, shape (m,)
+        What stands for both in a likelihood whose columns are known.
+    """
+    whole = inner + np.eye(len(inner)) * _RIDGE * np.max(np.diag(inner))
+    share, vectors = scipy.linalg.eigh(noise.T @ noise, whole)
+    turned, left = whole @ vectors, np.clip(1 - share, 0.0, 1.0)
+    known = turned * left @ (vectors.T @ (along - noise.T @ residual))
+    return np.asarray(turned * left**2 @ turned.T), np.asarray(known)
+
+
+def _net(columns: Mapping[str, Columns], found: Evaluated) -> dict[str, Columns]:
     """The same, each kind of size 1 in what a model's own parameters could not do as well."""
     out = {}
     for kind, parts in columns.items():
-        white = found.weights.whitened(parts)
+        white = found.weights.whitened(parts.there)
         taken = np.linalg.solve(found.precision, found.directions.T @ white)
-        net = np.concatenate(_without(parts, found, taken))
-        size = float(np.sqrt(np.mean(np.sum(net**2, axis=1))))
-        out[kind] = [part / max(size, _LEAST_NET) for part in parts]
+        size = max(_size(_without(parts.there, found, taken)), _LEAST_NET)
+        out[kind] = Columns([c / size for c in parts.there], [c / size for c in parts.probed])
     return out
+
+
+def _size(parts: Sequence[np.ndarray]) -> float:
+    """Root mean square of what columns add, each with a weight of its own of variance 1."""
+    return max(float(np.sqrt(np.mean(np.sum(np.concatenate(parts) ** 2, axis=1)))), 1e-300)
 
 
 def _without(parts: list[np.ndarray], found: Evaluated, taken: np.ndarray) -> list[np.ndarray]:
@@ -415,29 +487,52 @@ def discrepancy_of(evaluator: Evaluator, best: Evaluated) -> Discrepancy:
         problem.responses(best.x), band.windows, band.spans, band.trial, strict=True
     ):
         predicted[trial][span] = response[window]
-    motion = []
+    moved = []
     for p, response in zip(band.prepared, predicted, strict=True):
         rate = np.gradient(response, p.interval)
-        angle, velocity = response, rate
-        if band.angle_imposed:
-            angle, velocity, _ = imposed_motion(p.trial.time, p.trial.angle).signals.T
-        motion.append(Motion(p.interval, angle, velocity, response, rate))
-    return Discrepancy(evaluator, tuple(motion))
+        moved.append(Motion(p.interval, response, rate, response, rate))
+    if not band.angle_imposed:
+        return Discrepancy(evaluator, moved)
+    motion, probed = (
+        [
+            replace(m, angle=a, velocity=imposed_motion(p.trial.time, a).signals[:, 1])
+            for m, p, a in zip(moved, band.prepared, angles, strict=True)
+        ]
+        for angles in ([p.trial.angle for p in band.prepared], evaluator.reference.probed)
+    )
+    return Discrepancy(evaluator, motion, probed)
 
 
-def _reduced(term: Term) -> list[np.ndarray]:
-    """A term's columns by trial, at its first guess of shape, in its largest directions."""
+def _reduced(term: Term, n: int) -> list[np.ndarray]:
+    """A term's columns by trial, in the largest directions of the first n."""
     root = term.roots(term.start)[0]
-    return _largest([c @ root for c in term.columns], _MOST_COLUMNS)
+    columns = [c @ root for c in term.columns]
+    largest = _largest(columns[:n], _MOST_COLUMNS)
+    return [c @ largest for c in columns]
 
 
-def _largest(columns: Sequence[np.ndarray], most: int) -> list[np.ndarray]:
-    """Columns of all trials or stretches in their largest directions, so many at most."""
+def _varying(
+    motion: Sequence[Motion], values: Mapping[str, float], respond: Response
+) -> list[np.ndarray]:
+    """Stiffness and damping that vary in time, alike in all trials."""
+    longest = max(m.time[-1] for m in motion)
+    nodes = np.arange(0.0, longest + _VARYING_STEP, max(_VARYING_STEP, longest / _VARYING_NODES))
+    out = []
+    for m in motion:
+        at = interpolation(m.time, nodes)
+        spring = values["K"] * m.angle[:, None] * at
+        dashpot = values["B"] * m.velocity[:, None] * at
+        out.append(respond.to(np.hstack([spring, dashpot]), m.interval))
+    return out
+
+
+def _largest(columns: Sequence[np.ndarray], most: int) -> np.ndarray:
+    """Largest directions of the columns of all trials or stretches, so many at most."""
     gram = sum(c.T @ c for c in columns)
     eigenvalues, vectors = np.linalg.eigh(gram)
     kept = eigenvalues > _NEGLIGIBLE**2 * max(eigenvalues[-1], 1e-300)
     kept[: max(0, kept.size - most)] = False
-    return [c @ vectors[:, kept] for c in columns]
+    return np.asarray(vectors[:, kept])
 
 
 def _response(evaluator: Evaluator, motion: Sequence[Motion]) -> Response:

@@ -114,6 +114,8 @@ class Evaluated:
         Whitened residual.
     raw : list of array
         By stretch, the residual and its derivatives.
+    probes : list of array
+        By stretch, what probes of noise in an imposed angle add to `raw`; empty without.
     beyond : float
         How much more probable [nats] values beyond the bounds of its effects would make it.
     """
@@ -130,6 +132,7 @@ class Evaluated:
     precision: np.ndarray
     white: np.ndarray
     raw: list[np.ndarray]
+    probes: Sequence[np.ndarray] = ()
     beyond: float = 0.0
 
 
@@ -272,7 +275,7 @@ class Evaluator:
     ) -> Evaluated:
         """Evidence of a model at its best parameters, with given noise."""
         weighed = Weighed(problem, self.band, weights)
-        raw, _ = raw_residuals(problem, self.band, x)
+        raw, probes = raw_residuals(problem, self.band, x)
         white, probe = weighed.whitened(x)
         residual, jacobian = white[:, 0], white[:, 1:]
         priors = self.priors(problem, x, raw)
@@ -311,6 +314,7 @@ class Evaluator:
             own,
             residual,
             raw,
+            probes or (),
             max([0.0, *(gain for i, gain in gains.items() if self._limits(problem, i))]),
         )
 

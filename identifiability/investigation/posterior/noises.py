@@ -212,14 +212,17 @@ class Reference:
     band : Band
     joint : array, shape (3,)
         Its K, B and I.
+    probed : list of array
+        Angles [rad] of the trials with more noise; none where the torque is imposed.
     probes : list of Observation
-        None where the torque is imposed.
+        The observations moved by them.
     probe_problem : Problem or None
         K, B and I with these probes.
     """
 
     band: Band
     joint: np.ndarray
+    probed: list[np.ndarray] = field(default_factory=list)
     probes: list[Observation] = field(default_factory=list)
     probe_problem: Problem | None = None
 
@@ -253,9 +256,10 @@ class Reference:
         if not band.angle_imposed:
             return cls(band, joint)
         size = float(np.mean([np.std(p.trial.angle) for p in band.prepared]))
-        probes = band.probes(_PROBE * size, seed)
+        probed = band.probed(_PROBE * size, seed)
+        probes = band.moved(probed)
         whole = replace(problem, observations=[*band.observations, *probes])
-        return cls(band, joint, probes, whole)
+        return cls(band, joint, probed, probes, whole)
 
     def weights(self, raw: Sequence[np.ndarray], tried: Sequence[Contender]) -> Weights:
         """Estimate the noise of a residual.
