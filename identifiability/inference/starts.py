@@ -14,11 +14,14 @@ from identifiability.measurement.perturbations import imposed_motion
 from identifiability.measurement.trials import Trial
 
 _FACTORS = (0.4, 1.0, 2.5)
+_WIDE = (0.15, 0.3, 0.55, 1.0, 1.8, 4.0, 10.0)
+_SOFTER = (3.0, 10.0)  # stiffness of a tendon over the joint's
+_WIDELY_SOFTER = (1.0, 3.0, 10.0)
 _MOST_STARTS = 6
 
 
 def starting_values(
-    model: Model, known: Mapping[str, float], *, most: int = _MOST_STARTS
+    model: Model, known: Mapping[str, float], *, most: int = _MOST_STARTS, wide: bool = False
 ) -> list[dict[str, float]]:
     """Starts for a model some of whose parameters are known from a smaller one.
 
@@ -33,7 +36,10 @@ def starting_values(
         K, B, I and the parameters of the effects that were there before.
     most : int
         Number of starts.
+    wide : bool
+        Whether shapes are spread further, for starts of which the best will be chosen.
     """
+    factors, softer = (_WIDE, _WIDELY_SOFTER) if wide else (_FACTORS, _SOFTER)
     grids: list[list[float]] = []
     names = model.parameter_names
     for name, p in model.parameters.items():
@@ -44,9 +50,9 @@ def starting_values(
         elif p.null is not None and np.isfinite(p.null):
             grids.append([p.null + 0.01 * (p.nominal - p.null)])
         elif p.null is not None:
-            grids.append([3 * known["K"] + 1.0, 10 * known["K"] + 1.0])
+            grids.append([f * known["K"] + 1.0 for f in softer])
         elif p.lower >= 0 and p.upper > 10 * p.lower:
-            grids.append([float(np.clip(f * p.nominal, p.lower, p.upper)) for f in _FACTORS])
+            grids.append([float(np.clip(f * p.nominal, p.lower, p.upper)) for f in factors])
         else:
             grids.append([p.lower + s * (p.upper - p.lower) for s in (0.5, 0.25, 0.75)])
     every = list(itertools.product(*grids))

@@ -20,10 +20,11 @@ import scipy.special
 
 from identifiability.errors import InputError
 from identifiability.inference.bounds import touching
-from identifiability.inference.fitting import explore
+from identifiability.inference.fitting import explore, inside
 from identifiability.inference.likelihood.estimate import Contender, Order, contenders
 from identifiability.inference.problem import Problem
 from identifiability.investigation.posterior.band import Band
+from identifiability.investigation.posterior.beginnings import Beginnings
 from identifiability.investigation.posterior.noises import (
     Reference,
     Weighed,
@@ -198,8 +199,10 @@ class Evaluator:
         )
         best = None
         points = np.array([problem.free_vector(values) for values in starts])
+        beginnings = Beginnings.of(problem, self.band, inside(problem, points))
         for weights in self.starts:
-            found = self._settled(problem, points, weights, refined, least)
+            begun = beginnings.best(weights, _CARRIED)
+            found = self._settled(problem, begun, weights, refined, least)
             if best is None or found.log_evidence > best.log_evidence:
                 best = found
         assert best is not None
@@ -245,9 +248,6 @@ class Evaluator:
     ) -> Evaluated:
         """Model and noise fitted in turn, from given noise: see `evaluate`."""
         best, tried = None, self.orders
-        if len(points) > _CARRIED:
-            costs = [Weighed(problem, self.band, weights).squares(point) for point in points]
-            points = points[np.argsort(costs, kind="stable")[:_CARRIED]]
         for _ in range(_ROUNDS):
             weighed = Weighed(problem, self.band, weights)
             x = explore(weighed, points, evaluations=_EVALUATIONS).values

@@ -152,7 +152,12 @@ class Weighed:
 
     def whitened(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray | None]:
         """What `raw_residuals` gives, whitened, all stretches in one."""
-        trials, probes = raw_residuals(self.problem, self.band, x)
+        return self.of(*raw_residuals(self.problem, self.band, x))
+
+    def of(
+        self, trials: Sequence[np.ndarray], probes: Sequence[np.ndarray] | None
+    ) -> tuple[np.ndarray, np.ndarray | None]:
+        """The same, of what `raw_residuals` gave."""
         white = self.weights.whitened(trials)
         if probes is None:
             return white, None
@@ -189,18 +194,21 @@ class Weighed:
     def _both(self, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         x, last = np.asarray(x, float), self._last
         if not hasattr(last, "x") or not np.array_equal(last.x, x):
-            white, probe = self.whitened(x)
-            residuals, jacobian = white[:, 0], white[:, 1:]
-            if probe is not None:
-                ceiling = _CEILING * max(self.weights.excess, _NO_EXCESS)
-                share = float(probe[:, 0] @ probe[:, 0])
-                rest = np.sqrt(ceiling - min(share, self.most_taken))
-                slope = -(probe[:, 1:].T @ probe[:, 0]) / rest
-                residuals = np.append(residuals, rest)
-                jacobian = np.vstack([jacobian, slope * (share < self.most_taken)])
-            last.x, last.both = x.copy(), (residuals, jacobian)
+            last.x, last.both = x.copy(), self.linear(*self.whitened(x))
         found: tuple[np.ndarray, np.ndarray] = last.both
         return found
+
+    def linear(self, white: np.ndarray, probe: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+        """Residuals and their derivatives, of what `whitened` gave."""
+        residuals, jacobian = white[:, 0], white[:, 1:]
+        if probe is not None:
+            ceiling = _CEILING * max(self.weights.excess, _NO_EXCESS)
+            share = float(probe[:, 0] @ probe[:, 0])
+            rest = np.sqrt(ceiling - min(share, self.most_taken))
+            slope = -(probe[:, 1:].T @ probe[:, 0]) / rest
+            residuals = np.append(residuals, rest)
+            jacobian = np.vstack([jacobian, slope * (share < self.most_taken)])
+        return residuals, jacobian
 
 
 @dataclass(frozen=True, eq=False)

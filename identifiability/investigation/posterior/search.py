@@ -16,7 +16,7 @@ from identifiability.joint.model import Model
 from identifiability.progress import Progress, silent
 
 _SEEN = 6  # effects that are added to a set that has effects already
-_STARTS = 6  # of a single effect
+_STARTS = 28  # shapes of an effect that are tried as starts
 _TAKEN_UP = 3  # sets of one size that are evaluated further, at most
 _REFINED = 3  # sets of one size that are refined, at most
 _WORTH_REFINING = 3.0  # nats before K, B and I alone
@@ -124,19 +124,20 @@ class _Search:
         """A set with one effect more, from its own values and the effect's alone."""
         model, values = current.model + effect, current.values
         if not current.model.effect_keys:
-            return model, starting_values(model, values, most=_STARTS), current.refined
-        starts = starting_values(model, values, most=2)
+            return model, starting_values(model, values, most=_STARTS, wide=True), current.refined
+        starts = starting_values(model, values, most=_STARTS, wide=True)
         shape = {
             name: value
             for name, value in alone.items()
             if name.startswith(f"{effect.key}.") and model.parameters[name].null is None
         }
         if shape:
-            # A shape that served once is a better start than the nominal one.
-            starts[:1] = starting_values(model, {**values, **shape}, most=1)
+            # A shape that served once may serve again.
+            starts += starting_values(model, {**values, **shape}, most=1)
         # With a second effect the first one may have to take another shape.
         joint = {name: values[name] for name in ("K", "B", "I")}
-        return model, starts + starting_values(model, joint, most=1), current.refined
+        starts += starting_values(model, joint, most=_STARTS, wide=True)
+        return model, starts, current.refined
 
     def _refine(self, size: int) -> None:
         """Free the refining parameters of the best sets of a size."""
