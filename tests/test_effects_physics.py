@@ -395,6 +395,39 @@ def test_without_hardening_the_nonlinear_tendon_is_linear():
         agree(response("nonlinear_tendon", SINUSOID, **own), expected, 1e-6)
 
 
+def test_beside_a_tendon_a_path_acts_at_the_joint():
+    own = {"stiffness": 120.0, "hardening": 12.0, "asymmetry": 0.4}
+    drive = imposed_motion(TIME, THERE_AND_BACK(TIME))
+    alone = response("nonlinear_tendon", drive, **own)
+    both = response("nonlinear_tendon", drive, **own, bypass_stiffness=30.0, bypass_damping=0.7)
+    rate = THERE_AND_BACK.deriv()(TIME)
+    agree(both - alone, 30.0 * THERE_AND_BACK(TIME) + 0.7 * rate, 1e-9)
+
+
+def test_a_linear_tendon_with_a_path_beside_it_is_a_maxwell_branch():
+    """K and B behind a spring relax as a branch does; what it lacks is a damper at the joint."""
+    tendon, passive, damping = 120.0, 30.0, 0.7
+    both = response(
+        "nonlinear_tendon",
+        SINUSOID,
+        stiffness=tendon,
+        hardening=0.0,
+        asymmetry=0.0,
+        bypass_stiffness=passive,
+        bypass_damping=damping,
+    )
+    in_series = K * tendon / (K + tendon)
+    branch = response(
+        "maxwell_branch",
+        SINUSOID,
+        K=passive + in_series,
+        B=damping,
+        stiffness=tendon - in_series,
+        time_constant=B / (K + tendon),
+    )
+    agree(both, branch, 1e-6)
+
+
 def test_hill_muscle_with_a_nonlinear_tendon_carries_its_tension():
     """The element's velocity is the root of the balance of torques, found here by bisection."""
     tendon, muscle, damping = (120.0, 20.0, 0.3), (10.0, 5.0, 0.4), 0.1

@@ -13,13 +13,19 @@ from identifiability.benchmark.effects import (
     MaxwellBranch,
     SensorDelay,
     SeriesTendon,
+    StretchReflex,
 )
 from identifiability.benchmark.joints import Joint
 from identifiability.benchmark.motion import Motion, reaction
 from identifiability.benchmark.unknowns import TimeVaryingStiffness
 from identifiability.errors import InputError
+from identifiability.inference.fitting import inside
+from identifiability.inference.starts import starting_values
 from identifiability.investigation.posterior.band import Band, band_of
+from identifiability.investigation.posterior.beginnings import Beginnings
+from identifiability.investigation.posterior.descriptions import descriptions_of
 from identifiability.investigation.posterior.discrepancy import (
+    _known,
     _without,
     discrepancy_of,
     growing_noise,
@@ -251,6 +257,83 @@ def test_a_model_is_integrated_as_finely_as_telling_it_from_others_asks():
     assert exact.log_evidence - coarse.log_evidence > 20
 
 
+# Starts
+
+
+def test_shapes_are_sought_with_their_sizes_fitted():
+    """The delay nearest to the true one is carried on; by sizes of next to nothing it is not."""
+    reflex = StretchReflex(12.0, 0.5, 0.04, 0.012, 0.012, "critically_damped")
+    evaluator = evaluator_for(servo_trials(Joint(ANATOMY, (reflex,)), torque_sd=0.02, n=4))
+    model = KBI() + EFFECTS["stretch_reflex"]()
+    plain = evaluator.evaluate(KBI(), [START])
+    starts = starting_values(model, plain.values, most=28, wide=True)
+    problem = evaluator.band.problem(model, probes=evaluator.reference.probes)
+    points = inside(problem, np.array([problem.free_vector(s) for s in starts]))
+    first = Beginnings.of(problem, evaluator.band, points).best(evaluator.starts[1], 1)[0]
+    delay = problem.names.index("stretch_reflex.delay")
+    assert abs(first[delay] - 0.04) == min(np.abs(points[:, delay] - 0.04))
+    gain = problem.names.index("stretch_reflex.velocity_gain")
+    assert first[gain] == pytest.approx(0.5, rel=0.5)
+    assert points[0, gain] < 0.01
+    found = evaluator.evaluate(model, starts)
+    assert found.values["stretch_reflex.delay"] == pytest.approx(0.04, abs=6e-3)
+    late = [s for s in starts if s["stretch_reflex.delay"] > 0.1]
+    stuck = evaluator.evaluate(model, late)
+    assert found.log_evidence > stuck.log_evidence + 10
+
+
+# Descriptions of no mechanism
+
+
+class Valued:
+    """An evaluator whose evidence is given, by the keys of the effects."""
+
+    def __init__(self, **log_evidence):
+        self.log_evidence, self.asked = log_evidence, []
+
+    def evaluate(self, model, starts, *, refined=()):
+        self.asked.append(model.effect_keys)
+        key = "+".join(model.effect_keys)
+        return evaluated_as(self.log_evidence[key], model, starts[0], tuple(refined))
+
+
+def test_what_resembles_relaxation_is_held_against_it():
+    evaluator = Valued(**{"gravity+relaxation_spectrum": 300.0, "relaxation_spectrum": 90.0})
+    found = {}
+    for keys in [(), ("gravity",), ("maxwell_branch",), ("gravity", "maxwell_branch")]:
+        model = sum((EFFECTS[k]() for k in keys), start=KBI())
+        values = dict(zip(model.parameter_names, model.nominal, strict=True))
+        found[keys] = evaluated_as(100.0 * len(keys), model, values)
+    # The best of every size: of one effect it is the branch.
+    found["gravity",] = replace(found["gravity",], log_evidence=50.0)
+    weighing = Weighing(evaluator, 15, found=found)
+    weighing.describe()
+    assert set(evaluator.asked) == {("gravity", "relaxation_spectrum"), ("relaxation_spectrum",)}
+    assert weighing.described[("gravity",)]["relaxation_spectrum"].log_evidence == 300.0
+    assert weighing.failures == {}
+
+
+def test_richer_forms_start_from_what_they_are_a_form_of():
+    model = KBI() + EFFECTS["second_mass"]()
+    values = dict(zip(model.parameter_names, model.nominal, strict=True))
+    values["second_mass.frequency"] = 17.0
+    (found,) = descriptions_of(evaluated_as(0.0, model, values), ())[:1]
+    assert found.key == "relaxation_spectrum"
+    play = descriptions_of(evaluated_as(0.0, model, values), ())[1]
+    assert (play.key, play.rest, play.refined) == ("loose_coupling", (), ("loose_coupling",))
+    assert play.starts[0]["loose_coupling.frequency"] == 17.0
+    assert {s["loose_coupling.gap"] for s in play.starts} > {0.0}
+
+
+def test_something_unknown_is_said_to_be_like_a_description():
+    found = replace(probabilities((None, 0.99), (("gravity",), 0.01)), description="loose_coupling")
+    claim = claim_of(found, EFFECTS, 0.95)
+    verdict = by_probability(Verdict("explained", (("gravity",),)), claim, found, (), EFFECTS)
+    assert verdict.kind == "unknown_memory"
+    said = [_reason(reason, None) for reason in verdict.reasons]
+    assert said[1].startswith("In form it comes nearest to play between what is driven and")
+
+
 # Noise of an imposed angle
 
 
@@ -304,6 +387,30 @@ def test_a_torque_that_nothing_names_is_found_and_noise_is_not():
     gain, beside = probabilities_with(swing, torque_sd=0.05)
     assert gain > 20
     assert beside.kind == "varying"
+
+
+def test_what_noise_takes_from_weights_is_given_back():
+    """Of columns with noise in them the corrected weights are right on average, and as wide."""
+    random = np.random.default_rng(8)
+    n, truth = 300, np.array([1.5, -0.7])
+    clean = random.standard_normal((n, 2)) @ np.diag([1.0, 0.3])
+    plain, corrected, spread = [], [], []
+    for _ in range(300):
+        noise = 0.2 * random.standard_normal((n, 2))
+        seen = clean + noise
+        # Noise of the columns is in the residual too, with that of the sensor.
+        residual = clean @ truth + random.standard_normal(n) + noise @ [0.5, 0.5]
+        probe = 0.2 * random.standard_normal((n, 2))
+        inner, along = _known(seen.T @ seen, seen.T @ residual, probe, probe @ [0.5, 0.5])
+        plain.append(np.linalg.solve(seen.T @ seen, seen.T @ residual))
+        corrected.append(np.linalg.solve(inner, along))
+        spread.append(np.diag(np.linalg.inv(inner)))
+    error = np.std(corrected, axis=0) / np.sqrt(300)
+    assert np.all(np.abs(np.mean(corrected, axis=0) - truth) < 4 * error + 0.02)
+    assert abs(np.mean(plain, axis=0)[1] - truth[1]) > 10 * error[1]
+    # The residual's variance is 1 and the noise's share of it, 1.02.
+    ratio = np.var(corrected, axis=0) / np.mean(spread, axis=0)
+    assert np.all((ratio > 0.7) & (ratio < 1.5))
 
 
 def test_parameters_that_differ_between_trials_are_something_unknown():
@@ -449,7 +556,7 @@ def test_sets_are_compared_in_one_form():
 def probabilities(*rows):
     """Rows of (effects, probability) as probabilities."""
     ranked = tuple(SetProbability(e, p, 0.0) for e, p in sorted(rows, key=lambda r: -r[1]))
-    return Probabilities(ranked, (), {}, 1.0, 1.0, None, (), {})
+    return Probabilities(ranked, (), {}, 1.0, 1.0, None, (), None, {})
 
 
 @pytest.mark.parametrize(

@@ -167,6 +167,7 @@ def _discrepancy(posterior: Probabilities | None) -> dict[str, Any] | None:
     found = posterior.discrepancy
     return {
         "beside": list(posterior.best),
+        "nearest_form": posterior.description,
         "kind": found.kind,
         "size": found.size * posterior.response,
         "share": found.size,

@@ -256,7 +256,14 @@ class Model:
             velocity = _balance(excess, affine)
             contractile = Motion(angle, velocity)
             rates.append(jnp.reshape(velocity, (1,)))
-            torque = tension
+            torque = tension + sum(
+                (
+                    jnp.asarray(effect.bypass(p, motion))
+                    for effect, (p, _, _) in zip(self.effects, given, strict=True)
+                    if effect.place == "series"
+                ),
+                start=jnp.zeros(()),
+            )
         else:
             torque = muscle(motion)
         torque = torque + torque_of("joint", motion)

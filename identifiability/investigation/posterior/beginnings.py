@@ -8,6 +8,7 @@ of the shape that it happened to start from.
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,6 +17,7 @@ from scipy.optimize import lsq_linear
 from identifiability.inference.problem import Problem
 from identifiability.investigation.posterior.band import Band
 from identifiability.investigation.posterior.noises import Weighed, Weights, raw_residuals
+from identifiability.joint.programs import THREADS
 
 _TRIED = 4  # starts whose sizes are evaluated with their torque as it is, not linear
 _SHARES = (1.0, 0.3)  # of a step, where the whole one leads astray
@@ -42,7 +44,10 @@ class Beginnings:
     @classmethod
     def of(cls, problem: Problem, band: Band, points: np.ndarray) -> Beginnings:
         """Evaluate a model at its starts, shape (n_starts, n_free)."""
-        return cls(problem, band, points, [raw_residuals(problem, band, x) for x in points])
+        first = raw_residuals(problem, band, points[0])  # compiled before the threads ask for it
+        with ThreadPoolExecutor(THREADS) as pool:
+            rest = list(pool.map(lambda x: raw_residuals(problem, band, x), points[1:]))
+        return cls(problem, band, points, [first, *rest])
 
     def best(self, weights: Weights, n: int) -> np.ndarray:
         """The best so many of the starts, sizes fitted, as given noise weighs them."""

@@ -498,6 +498,8 @@ def discrepancy_of(evaluator: Evaluator, best: Evaluated) -> Discrepancy:
             replace(m, angle=a, velocity=imposed_motion(p.trial.time, a).signals[:, 1])
             for m, p, a in zip(moved, band.prepared, angles, strict=True)
         ]
+        if angles
+        else []
         for angles in ([p.trial.angle for p in band.prepared], evaluator.reference.probed)
     )
     return Discrepancy(evaluator, motion, probed)

@@ -16,12 +16,14 @@ from math import comb, log
 import numpy as np
 
 from identifiability.investigation.fits.candidate import Candidate, unfitted
+from identifiability.investigation.posterior.descriptions import descriptions_of
 from identifiability.investigation.posterior.discrepancy import (
     Discrepancy,
     Discrepant,
     discrepancy_of,
 )
 from identifiability.investigation.posterior.evidence import Evaluated, Evaluator
+from identifiability.joint.effects import DESCRIPTIONS
 from identifiability.joint.model import Model
 
 Keys = tuple[str, ...]
@@ -76,6 +78,9 @@ class Probabilities:
         be computed.
     unknown : tuple of str
         Of "none of these", the known effects beside which something unknown is most probable.
+    description : str or None
+        Key of the description that something unknown comes nearest to; None where it is of another
+        form.
     candidates : mapping of tuple of str to Candidate
         Each set as it was weighed, to be fitted from there.
     failures : mapping of str to str
@@ -89,6 +94,7 @@ class Probabilities:
     response: float
     discrepancy: Discrepant | None
     unknown: tuple[str, ...]
+    description: str | None
     candidates: Mapping[tuple[str, ...], Candidate]
     failures: Mapping[str, str] = field(default_factory=dict)
 
@@ -158,12 +164,15 @@ class _Forms:
         Log evidence [nats] of a set whose equations are wrong by no more than they may be.
     unknown : dict of tuple of str to float
         Log evidence and log prior of a set and something unknown.
+    described : dict of tuple of str to str
+        Of these, those in which a description of no mechanism is what is unknown, and its key.
     beside : dict of tuple of str to Discrepant
         Each set that was tried, with any discrepancy.
     """
 
     inexact: dict[Keys, float] = field(default_factory=dict)
     unknown: dict[Keys, float] = field(default_factory=dict)
+    described: dict[Keys, str] = field(default_factory=dict)
     beside: dict[Keys, Discrepant] = field(default_factory=dict)
 
 
@@ -182,6 +191,8 @@ class Weighing:
         The best form of each set.
     taken_up : dict of tuple of str to Evaluated
         Those that were evaluated to the end.
+    described : dict of tuple of str to dict
+        By the known effects beside it, each description that was evaluated, by its key.
     failures : dict of str to str
     """
 
@@ -190,6 +201,7 @@ class Weighing:
     base: Keys = ()
     found: dict[Keys, Evaluated] = field(default_factory=dict)
     taken_up: dict[Keys, Evaluated] = field(default_factory=dict)
+    described: dict[Keys, dict[str, Evaluated]] = field(default_factory=dict)
     failures: dict[str, str] = field(default_factory=dict)
 
     def weigh(
@@ -254,6 +266,31 @@ class Weighing:
             for keys in left:
                 self.take_up(keys)
 
+    def describe(self) -> None:
+        """Evaluate descriptions in the place of effects of the best set of every size."""
+        ranked = sorted(self.found, key=lambda keys: -self.score(keys))
+        for keys in {len(keys): keys for keys in reversed(ranked)}.values():
+            for one in descriptions_of(self.found[keys], self.base):
+                known = self.described.setdefault(one.rest, {})
+                if one.key in known or one.rest not in self.found:
+                    continue
+                try:
+                    known[one.key] = self.evaluator.evaluate(
+                        one.model, one.starts, refined=one.refined
+                    )
+                except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
+                    self.failures["+".join((*one.rest, one.key))] = str(error)
+
+    def _near(self) -> list[Keys]:
+        """Sets that come near the best, and the best of every size."""
+        ranked = sorted(self.found, key=lambda keys: -self.score(keys))
+        least = self.score(ranked[0]) - _CONTENDS
+        near = [keys for keys in ranked if self.score(keys) > least][:_MOST_BESIDE]
+        # Inexact equations may make up for an effect more.
+        for n in sorted({len(keys) for keys in ranked}):
+            near += [keys for keys in ranked if len(keys) == n][:_BEST_OF_SIZE]
+        return list(dict.fromkeys(near))
+
     def log_prior(self, n_effects: int) -> float:
         """Of one set of so many effects, the unknown counted as one of the library."""
         return -log(comb(self.n_library + 1, min(n_effects, self.n_library + 1)))
@@ -278,6 +315,7 @@ class Weighing:
             self.evaluator.band.scale,
             forms.beside.get(shown),
             unknown,
+            forms.described.get(unknown),
             {k: unfitted(f.model, [f.values], f.refined, f.scheme) for k, f in self.found.items()},
             dict(self.failures),
         )
@@ -286,12 +324,8 @@ class Weighing:
         """The sets that come near, with their equations inexact, and with something unknown."""
         discrepancies = discrepancy_of(self.evaluator, self.found[ranked[0]])
         least, forms = self.score(ranked[0]) - _CONTENDS, _Forms()
-        near = [keys for keys in ranked if self.score(keys) > least][:_MOST_BESIDE]
-        # The best of every size too: inexact equations may make up for an effect more.
-        for n in sorted({len(keys) for keys in ranked}):
-            near += [keys for keys in ranked if len(keys) == n][:_BEST_OF_SIZE]
-        for keys in dict.fromkeys(near):
-            found, besides = self.found[keys], self.log_prior(len(keys) + 1)
+        for keys in self._near():
+            found, besides = self.found[keys], self._besides(keys)
             if found.beyond > _SURE and self.score(keys) > least:
                 # The same effects with values that no joint has are none of these. By how much more
                 # probable is not known far from what was fitted.
@@ -313,7 +347,16 @@ class Weighing:
                 forms.unknown[keys] = max(free.log_evidence + besides, known)
             known = forms.inexact.get(keys, -np.inf)
             forms.inexact[keys] = max(form.log_evidence, known)
+        for keys, by_key in self.described.items():
+            for key, found in by_key.items():
+                value = found.log_evidence + self._besides(keys)
+                if value > forms.unknown.get(keys, -np.inf):
+                    forms.unknown[keys], forms.described[keys] = value, key
         return forms
+
+    def _besides(self, keys: Keys) -> float:
+        """Log prior [nats] of a set and one form of something unknown, of all that there are."""
+        return self.log_prior(len(keys) + 1) - log(1 + len(DESCRIPTIONS))
 
     def _drifts(self, keys: Keys, free: Discrepant) -> bool:
         """Whether a discrepancy is a drift of the recorder, which is known, in another form."""

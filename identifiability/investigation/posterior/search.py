@@ -16,7 +16,7 @@ from identifiability.joint.model import Model
 from identifiability.progress import Progress, silent
 
 _SEEN = 6  # effects that are added to a set that has effects already
-_STARTS = 28  # shapes of an effect that are tried as starts
+_STARTS, _STARTS_BESIDE = 28, 12  # shapes that are tried as starts, alone and beside others
 _TAKEN_UP = 3  # sets of one size that are evaluated further, at most
 _REFINED = 3  # sets of one size that are refined, at most
 _WORTH_REFINING = 3.0  # nats before K, B and I alone
@@ -76,6 +76,7 @@ def weigh(
                 break
             search.enlarge(left)
     weighing.settle()
+    weighing.describe()
     return weighing.posterior()
 
 
@@ -125,7 +126,7 @@ class _Search:
         model, values = current.model + effect, current.values
         if not current.model.effect_keys:
             return model, starting_values(model, values, most=_STARTS, wide=True), current.refined
-        starts = starting_values(model, values, most=_STARTS, wide=True)
+        starts = starting_values(model, values, most=_STARTS_BESIDE, wide=True)
         shape = {
             name: value
             for name, value in alone.items()
@@ -136,7 +137,7 @@ class _Search:
             starts += starting_values(model, {**values, **shape}, most=1)
         # With a second effect the first one may have to take another shape.
         joint = {name: values[name] for name in ("K", "B", "I")}
-        starts += starting_values(model, joint, most=_STARTS, wide=True)
+        starts += starting_values(model, joint, most=_STARTS_BESIDE, wide=True)
         return model, starts, current.refined
 
     def _refine(self, size: int) -> None:

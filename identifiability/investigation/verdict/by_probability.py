@@ -144,6 +144,10 @@ def by_probability(
     kind = verdict.kind
     if kind in ("explained", "one_of", "nothing_missing"):
         kind = _unknown(posterior.discrepancy)
+    if claim.kind == "unknown" and posterior.description is not None:
+        # All of them have memory.
+        kind, nearest = "unknown_memory", Reason("nearest form", (posterior.description,))
+        return replace(verdict, kind=kind, sets=(), reasons=(unsure, nearest, *reasons))
     return replace(verdict, kind=kind, sets=(), reasons=(unsure, *reasons))
 
 

@@ -25,6 +25,7 @@ ReasonKind = Literal[
     "description",
     "probable",
     "not probable enough",
+    "nearest form",
 ]
 
 
@@ -59,6 +60,7 @@ class Reason:
           something ``unknown``, has these;
         - not probable enough: the same of what is claimed, ``remark``, and of the most probable
           sets by their keys joined by "+": no effect is probable enough to be named;
+        - nearest form: the description of no mechanism that something unknown is most like;
         - equations not exact: the named effects leave more than noise;
         - form of no sensor: the effects of the measurement do not fit it;
         - only a part: effects that remove only a part may stand for something else;

@@ -8,7 +8,7 @@ from identifiability.investigation.findings import Findings
 from identifiability.investigation.posterior.probabilities import Probabilities
 from identifiability.investigation.verdict.reasons import Reason
 from identifiability.investigation.wording.unexplained import unexplained_sentence
-from identifiability.joint.effects import Effect
+from identifiability.joint.effects import DESCRIPTIONS, Effect
 from identifiability.joint.parameters import with_unit
 
 TITLES = {
@@ -194,6 +194,9 @@ def _reason(reason: Reason, findings: Findings) -> str:
         return _probable(reason)
     if reason.kind == "not probable enough":
         return _not_probable(reason)
+    if reason.kind == "nearest form":
+        nearest = DESCRIPTIONS[reason.effects[0]].title
+        return f"In form it comes nearest to {nearest}, which names no mechanism."
     if reason.kind == "removes in turn":
         return _in_turn(reason, findings)
     if reason.kind == "clue":

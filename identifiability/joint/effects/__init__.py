@@ -41,7 +41,13 @@ EFFECTS: dict[str, type[Effect]] = {
     )
 }
 
+# Forms of which the library names no mechanism, so that one who finds them has found none of it.
+DESCRIPTIONS: dict[str, type[Effect]] = {
+    effect.key: effect for effect in (RelaxationSpectrum, StiffeningHysteresis, LooseCoupling)
+}
+
 __all__ = [
+    "DESCRIPTIONS",
     "EFFECTS",
     "ActivationLag",
     "CoulombFriction",

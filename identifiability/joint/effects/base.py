@@ -38,7 +38,7 @@ class Effect(ABC):
         it sees the motion of the contractile element;
     ``"series"``
         an elastic element between the muscle and the joint; ``torque`` is its torque at a stretch
-        (in rad) and has no states of its own;
+        (in rad) and has no states of its own; ``bypass`` is what acts beside it and the muscle;
     ``"sensor"``
         nothing in the joint: ``record`` says what the instruments make of the true response.
 
@@ -81,6 +81,18 @@ class Effect(ABC):
     def has_refinement(self) -> bool:
         """Whether some of its parameters only refine it: see `Parameter.plain`."""
         return any(parameter.plain is not None for parameter in self.parameters)
+
+    def bypass(self, p: Sequence[Array], motion: Motion) -> ArrayLike:
+        """Torque [Nm] beside muscle and elastic element, at the motion of the joint.
+
+        Parameters
+        ----------
+        p : sequence of scalars
+            The effect's parameters.
+        motion : Motion
+            Angle [rad] and velocity [rad/s] of the joint.
+        """
+        return 0.0
 
     def torque(
         self, p: Sequence[Array], motion: Motion, states: Array, delayed: Motion

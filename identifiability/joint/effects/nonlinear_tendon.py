@@ -23,6 +23,10 @@ class NonlinearTendon(Effect):
 
     with the stretch x = theta - theta_CE. The asymmetry a is 1 or -1 for a single muscle and 0 for
     a balanced pair; with h = 0 it is the linear tendon. It vanishes with infinite stiffness.
+
+    Ligaments, capsule and skin act beside muscle and tendon: refined, it has such a path, of torque
+    :math:`K_P\theta + B_P\dot\theta`. Beside a linear tendon that path needs no name of its own: a
+    tendon with it is a Maxwell branch.
     """
 
     key = "nonlinear_tendon"
@@ -65,6 +69,26 @@ class NonlinearTendon(Effect):
             upper=1.0,
             description="difference between the two muscles' tendons",
         ),
+        Parameter(
+            "bypass_stiffness",
+            r"K_\mathrm{P}",
+            "Nm/rad",
+            nominal=0.0,
+            lower=0.0,
+            upper=2000.0,
+            plain=0.0,
+            description="stiffness of a path beside muscle and tendon",
+        ),
+        Parameter(
+            "bypass_damping",
+            r"B_\mathrm{P}",
+            "Nms/rad",
+            nominal=0.0,
+            lower=0.0,
+            upper=50.0,
+            plain=0.0,
+            description="damping of a path beside muscle and tendon",
+        ),
     )
     references = (
         "Zajac 1989, Crit Rev Biomed Eng 17: 359-411 (exponential toe of the tendon)",
@@ -75,11 +99,15 @@ class NonlinearTendon(Effect):
         self, p: Sequence[Array], motion: Motion, states: Array, delayed: Motion
     ) -> ArrayLike:
         """Torque [Nm] of the tendons at a stretch of ``motion.angle`` rad."""
-        stiffness, hardening, asymmetry = p
+        stiffness, hardening, asymmetry = p[:3]
         # Powers of e beyond 30 are no tendon, but an optimiser may ask for them.
         exponent = jnp.clip(hardening * motion.angle, -30.0, 30.0)
         odd, even = _sinhc(exponent), jnp.sinh(0.5 * exponent) * _sinhc(0.5 * exponent)
         return stiffness * motion.angle * (odd + asymmetry * even)
+
+    def bypass(self, p: Sequence[Array], motion: Motion) -> ArrayLike:
+        """Torque [Nm] of what acts beside muscle and tendon."""
+        return p[3] * motion.angle + p[4] * motion.velocity
 
     def pace(self, values: Mapping[str, float]) -> float:
         """Rate by which a typical stretch quickens the muscle behind the tendon.

@@ -55,7 +55,14 @@ class RelaxationSpectrum(Effect):
     place = "joint"
     linear = True
     n_states = 3
-    confused_with = ("maxwell_branch", "stretch_reflex")
+    confused_with = (
+        "maxwell_branch",
+        "series_tendon",
+        "nonlinear_tendon",
+        "activation_lag",
+        "stretch_reflex",
+        "second_mass",
+    )
     parameters = tuple(p for n, pace in enumerate(_PACES, 1) for p in _branch(n, pace))
     references = ("Fung 1993, Biomechanics: Mechanical Properties of Living Tissues, ch. 2 and 7",)
 

@@ -1,0 +1,96 @@
+"""Descriptions of no mechanism, in the place of effects that may stand for one that is unknown.
+
+A torque without a name is tried beside every set that comes near, but it is a kernel of few numbers
+seen through a Gaussian process. Relaxation at many paces, hysteresis that stiffens on reversal and
+play are known forms of which the library names no mechanism: where one does better than the effects
+that resemble it, these are none of what is missing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from identifiability.inference.starts import refined_values, starting_values
+from identifiability.investigation.posterior.evidence import Evaluated
+from identifiability.joint.effects import DESCRIPTIONS
+from identifiability.joint.model import Model
+
+_STARTS = 28
+
+
+@dataclass(frozen=True, eq=False)
+class Description:
+    """A model in which a description stands for some effects.
+
+    Attributes
+    ----------
+    rest : tuple of str
+        Known effects beside it.
+    key : str
+        Of the description.
+    model : Model
+    starts : list of dict
+        Values of all its parameters to start from.
+    refined : tuple of str
+    """
+
+    rest: tuple[str, ...]
+    key: str
+    model: Model
+    starts: list[dict[str, float]]
+    refined: tuple[str, ...]
+
+
+def descriptions_of(found: Evaluated, base: tuple[str, ...]) -> list[Description]:
+    """Descriptions in the place of effects of one model.
+
+    Parameters
+    ----------
+    found : Evaluated
+    base : tuple of str
+        Effects that are no findings.
+    """
+    own = [key for key in found.model.effect_keys if key not in base]
+    out = []
+    for key, kind in DESCRIPTIONS.items():
+        replaced = [k for k in own if k in kind.confused_with]
+        if not replaced:
+            continue
+        model = found.model
+        for k in replaced:
+            model = model.without(k)
+        model = model + kind()
+        rest = tuple(sorted(k for k in own if k not in replaced))
+        refined = tuple(k for k in found.refined if k in rest)
+        starts = starting_values(model, _shared(found, model), most=_STARTS, wide=True)
+        if any(p.plain is not None for p in kind.parameters):
+            plain = _renamed(found, replaced[0], key, model) or starts[0]
+            free = [name for name, p in model.parameters.items() if p.plain is None]
+            starts = [*refined_values(model, plain, free), *starts]
+            refined = (*refined, key)
+        out.append(Description(rest, key, model, starts, refined))
+    return out
+
+
+def _shared(found: Evaluated, model: Model) -> dict[str, float]:
+    names = model.parameter_names
+    return {name: value for name, value in found.values.items() if name in names}
+
+
+def _renamed(found: Evaluated, replaced: str, key: str, model: Model) -> dict[str, float] | None:
+    """Values with those of the effect that a description is a richer form of."""
+    values = _shared(found, model)
+    own: Mapping[str, float] = {
+        name.split(".")[1]: value
+        for name, value in found.values.items()
+        if name.startswith(f"{replaced}.")
+    }
+    for name, p in model.parameters.items():
+        if not name.startswith(f"{key}."):
+            continue
+        value = own.get(name.split(".")[1], p.plain)
+        if value is None:
+            return None
+        values[name] = min(max(value, p.lower), p.upper)
+    return values
