@@ -15,6 +15,7 @@ from identifiability.measurement.trials import Trial
 
 _FACTORS = (0.4, 1.0, 2.5)
 _WIDE = (0.15, 0.3, 0.55, 1.0, 1.8, 4.0, 10.0)
+_NARROW = 3  # ratio of bounds up to which starts between them are equally spaced
 _SOFTER = (3.0, 10.0)  # stiffness of a tendon over the joint's
 _WIDELY_SOFTER = (1.0, 3.0, 10.0)
 _MOST_STARTS = 6
@@ -51,8 +52,9 @@ def starting_values(
             grids.append([p.null + 0.01 * (p.nominal - p.null)])
         elif p.null is not None:
             grids.append([f * known["K"] + 1.0 for f in softer])
-        elif p.lower >= 0 and p.upper > 10 * p.lower:
-            grids.append([float(np.clip(f * p.nominal, p.lower, p.upper)) for f in factors])
+        elif p.lower >= 0 and p.upper > (_NARROW if wide else 10) * p.lower:
+            clipped = [float(np.clip(f * p.nominal, p.lower, p.upper)) for f in factors]
+            grids.append(list(dict.fromkeys(clipped)))
         else:
             grids.append([p.lower + s * (p.upper - p.lower) for s in (0.5, 0.25, 0.75)])
     every = list(itertools.product(*grids))
