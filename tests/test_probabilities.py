@@ -542,9 +542,11 @@ class Pretended:
             values = dict(zip(model.parameter_names, model.nominal, strict=True))
             self.found[keys] = evaluated_as(value, model, values)
 
-    def weigh(self, model, starts, refined=()):
-        self.asked.append(model.effect_keys)
-        self.found[model.effect_keys] = evaluated_as(1000.0, model, starts[0], tuple(refined))
+    def weigh(self, jobs):
+        for model, starts, refined in jobs:
+            self.asked.append(model.effect_keys)
+            found = evaluated_as(1000.0, model, starts[0], tuple(refined))
+            yield self.found.update({model.effect_keys: found})
 
 
 def evaluated_as(value, model, values, refined=()):

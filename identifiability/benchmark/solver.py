@@ -69,10 +69,9 @@ class Row:
     apriori : str
         Scheme that the model asks for before anything is computed.
     scheme : str
-        Scheme that is taken: that one, or finer until half the step changes E by no more than
-        `ALLOWED`.
+        Scheme that is taken: that one, or finer until its error is no more than `ALLOWED`.
     halved : float
-        What half the step changes, as E: the error as an investigation knows it.
+        E as an investigation knows it, from what half the step changes.
     error : float
         E against the reference.
     size : float
@@ -150,10 +149,10 @@ def measure(key: str, speed: str, rate: int, imposed: Imposed) -> Row:
 def _settled(
     scheme: Scheme, by: Callable[[Scheme], np.ndarray]
 ) -> tuple[Scheme, np.ndarray, float]:
-    """The scheme that half the step leaves as it is, its response, and what half the step does."""
+    """The scheme that half the step leaves as it is, its response, and its error by that."""
     while True:
         found = by(scheme)
-        halved = _error(found, by(scheme.halved))
+        halved = _error(found, by(scheme.halved)) / scheme.shown
         if halved <= ALLOWED or scheme.finest:
             return scheme, found, halved
         scheme = scheme.improved(halved / ALLOWED)

@@ -406,7 +406,7 @@ class Problem:
         return other
 
     def solver_error(self, x: np.ndarray) -> float:
-        """Error of the integration at a point: what half the step changes.
+        """Error of the integration at a point, from what half the step changes.
 
         Returns
         -------
@@ -416,7 +416,7 @@ class Problem:
         if self.integration.exact:
             return 0.0
         moved = self.halved().residuals(x) - self.residuals(x)
-        return float(moved @ moved) / self.n_samples
+        return float(moved @ moved) / self.n_samples / self.integration.shown
 
     def resolved(self, x: np.ndarray, share: float = 0.1) -> Problem:
         """Return the same problem in steps that suit a point: those that it has, or finer ones.

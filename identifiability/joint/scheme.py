@@ -83,6 +83,11 @@ class Scheme:
         """The same with steps half as long: what tells the error of this one."""
         return replace(self, substeps=2 * self.substeps)
 
+    @property
+    def shown(self) -> float:
+        """Share of the error E (a square) that half the step shows: the half has an error too."""
+        return (1 - 2.0**-self.order) ** 2
+
     def improved(self, ratio: float) -> Scheme:
         """The scheme whose error E (a square) should be so many times smaller; at least halved.
 

@@ -21,7 +21,7 @@ def solver_page(record: dict[str, Any]) -> str:
         "Made by `identifiability benchmark solver --out results`. Every non-linear effect of the",
         "registry, at nominal and at fast parameters, is integrated in the steps that a fit takes,",
         "and in at least sixteen times as many. All numbers are errors E (Eq. 3). *Half the step*",
-        "is what the package itself knows of its error; *error* is that against the fine steps;",
+        "is the error as the package knows it, by half the step; *error* is by the fine ones;",
         "*effect* is that of the joint without the effect. Noise typically leaves an E of",
         f"{' or '.join(f'{n:g}' for n in noises)}; a tenth of the smaller, {record['allowed']:g},",
         f"is allowed. {said} The largest error is {worst['error']:.1e}"

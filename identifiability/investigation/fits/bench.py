@@ -246,8 +246,8 @@ class Workbench:
     ) -> tuple[tuple[Residual, Residual], float | None]:
         """What values leave of the fitted and held-out trials, and the error E of the solver.
 
-        The error is what half the step changes, in the part where that is more; ``None`` where
-        that was not tried: after a glance.
+        The error follows from what half the step changes, in the part where that is more; ``None``
+        where that was not tried: after a glance.
         """
         split, refined = self.split, _refined(problem)
         left, errors = [], [0.0]
@@ -266,7 +266,7 @@ class Workbench:
                     float(np.sum((a - b) ** 2)) / ready.energy
                     for a, b, ready in zip(left[-1].by_trial, halved.by_trial, part, strict=True)
                 ]
-                errors.append(float(np.mean(change)))
+                errors.append(float(np.mean(change)) / here.integration.shown)
         return (left[0], left[1]), max(errors) if thorough else None
 
     def _wanted(self, problem: Problem, error: float | None) -> Scheme:

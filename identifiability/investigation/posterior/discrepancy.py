@@ -2,7 +2,7 @@
 
 A Gaussian process over what a joint can resist by: its present angle and velocity (static), how far
 it moved since it turned back (hysteresis), its past motion (memory), time (stiffness and damping
-that vary alike in every trial; drift of the recorder), where the torque was imposed a filter or
+that vary alike in every trial; drift of the recorder, alike in every trial or not), where the torque was imposed a filter or
 shift of the recorder, and the model's own parameters, if they are not the same in all trials. Each
 kind has one size, of highest evidence. What is not the same in every
 trial is noise, of whatever colour.
@@ -34,6 +34,7 @@ from identifiability.investigation.unexplained.traces import Response
 from identifiability.measurement.perturbations import imposed_motion
 
 _MOST_COLUMNS, _NEGLIGIBLE = 25, 1e-3  # of one term; share of its largest direction
+_MOST_OWN = 4  # of one trial
 _MOST_INCONSTANT, _PARTS = 60, 12  # directions; parts of all trials together, about
 _CHANGES = 0.5  # of its value, by which a parameter may differ
 _VARYING_NODES, _VARYING_STEP = 20, 0.1  # number at most; s at least
@@ -150,7 +151,7 @@ class Discrepancy:
                 _reduced(terms.memory("memory", lambda v: v), n),
                 _reduced(terms.memory("memory_positive", lambda v: np.maximum(v, 0)), n),
             ],
-            "drift": [_reduced(terms.common_drift(), n)],
+            "drift": [_reduced(terms.common_drift(), n), _own(terms.drift(), n)],
             "varying": [_varying(every, values, respond)],
         }
         # The rate of a torque that is predicted from a noisy angle is noise more than motion.
@@ -511,6 +512,20 @@ def _reduced(term: Term, n: int) -> list[np.ndarray]:
     columns = [c @ root for c in term.columns]
     largest = _largest(columns[:n], _MOST_COLUMNS)
     return [c @ largest for c in columns]
+
+
+def _own(term: Term, n: int) -> list[np.ndarray]:
+    """Columns by trial of a term that is another in each trial, in the largest directions."""
+    columns = [c @ root for c, root in zip(term.columns, term.roots(term.start), strict=True)]
+    reduced = [c @ _largest([c], _MOST_OWN) for c in columns[:n]]
+    places = np.cumsum([0, *(c.shape[1] for c in reduced)])
+    out = []
+    for i, c in enumerate(columns):
+        whole = np.zeros((len(c), places[-1]))
+        # A probe of an imposed angle leaves the recorder's drift as it is.
+        whole[:, places[i % n] : places[i % n + 1]] = reduced[i % n]
+        out.append(whole)
+    return out
 
 
 def _varying(

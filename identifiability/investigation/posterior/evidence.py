@@ -228,7 +228,7 @@ class Evaluator:
         moved = problem.halved().residuals(found.x) - problem.residuals(found.x)
         rows = moved.reshape(max(len(problem.observations), problem.room[0]), -1, 1)
         white = found.weights.whitened(found.weights.band.stretches(rows))
-        error = float(np.sum(white**2))
+        error = float(np.sum(white**2)) / problem.integration.shown
         if not error > _SOLVER:
             return None
         if problem.integration.finest:

@@ -9,7 +9,8 @@ equations are not exact; with more it is "none of these".
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from math import comb, log
 
@@ -25,8 +26,11 @@ from identifiability.investigation.posterior.discrepancy import (
 from identifiability.investigation.posterior.evidence import Evaluated, Evaluator
 from identifiability.joint.effects import DESCRIPTIONS
 from identifiability.joint.model import Model
+from identifiability.joint.programs import THREADS
 
 Keys = tuple[str, ...]
+Job = tuple[Model, Sequence[Mapping[str, float]], Sequence[str]]
+"""A model, values to start from, and keys of its effects that are refined."""
 
 # Share of the response that is nothing unknown: instruments are linear to so much, and motion
 # between samples is known to it.
@@ -204,35 +208,37 @@ class Weighing:
     described: dict[Keys, dict[str, Evaluated]] = field(default_factory=dict)
     failures: dict[str, str] = field(default_factory=dict)
 
-    def weigh(
-        self, model: Model, starts: Sequence[Mapping[str, float]], refined: Sequence[str] = ()
-    ) -> None:
-        """Evaluate a model; of the forms of one set the best is kept.
+    def weigh(self, jobs: Sequence[Job]) -> Iterator[None]:
+        """Evaluate models, two at a time; of the forms of one set the best is kept.
 
-        Parameters
-        ----------
-        model : Model
-        starts : sequence of mapping
-            Values of all its parameters by name.
-        refined : sequence of str
-            Keys of the effects whose refining parameters are free.
+        Yields after each of them.
         """
-        keys = tuple(sorted(k for k in model.effect_keys if k not in self.base))
+        # What is not fitted any further depends on what was known before, not on who is first.
         best = max((f.log_evidence for f in self.found.values()), default=-np.inf)
-        try:
-            found = self.evaluator.evaluate(
-                model, starts, refined=refined, least=best - _LOST, resolved=False
-            )
-        except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
-            self.failures["+".join(keys)] = str(error)
+
+        def evaluate(job: Job) -> Evaluated | str:
+            model, starts, refined = job
+            try:
+                return self.evaluator.evaluate(
+                    model, starts, refined=refined, least=best - _LOST, resolved=False
+                )
+            except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
+                return str(error)
+
+        with ThreadPoolExecutor(THREADS) as pool:
+            for (model, _, _), found in zip(jobs, pool.map(evaluate, jobs), strict=True):
+                self._keep(model, found)
+                yield
+
+    def _keep(self, model: Model, found: Evaluated | str) -> None:
+        keys = tuple(sorted(k for k in model.effect_keys if k not in self.base))
+        if isinstance(found, str):
+            self.failures["+".join(keys)] = found
             return
         # Where an imposed angle moves the joint, parameters may lie anywhere on a ridge.
-        if not self.evaluator.band.angle_imposed and (why := found.model.objection(found.values)):
+        if not self.evaluator.band.angle_imposed and (why := model.objection(found.values)):
             self.failures["+".join(keys)] = why
             return
-        self._keep(keys, found)
-
-    def _keep(self, keys: Keys, found: Evaluated) -> None:
         known = self.found.get(keys)
         if known is None or found.log_evidence > known.log_evidence:
             self.found[keys] = found

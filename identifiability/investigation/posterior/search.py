@@ -9,10 +9,9 @@ from identifiability.errors import InputError
 from identifiability.inference.starts import refined_values, starting_values
 from identifiability.investigation.fits.candidate import Candidate
 from identifiability.investigation.posterior.evidence import Evaluated, Evaluator
-from identifiability.investigation.posterior.probabilities import Keys, Probabilities, Weighing
+from identifiability.investigation.posterior.probabilities import Job, Keys, Probabilities, Weighing
 from identifiability.investigation.posterior.signatures import strongest
 from identifiability.joint.effects import Effect
-from identifiability.joint.model import Model
 from identifiability.progress import Progress, silent
 
 _SEEN = 6  # effects that are added to a set that has effects already
@@ -80,10 +79,6 @@ def weigh(
     return weighing.posterior()
 
 
-Job = tuple[Model, Sequence[Mapping[str, float]], Sequence[str]]
-"""A model, values to start from, and keys of its effects that are refined."""
-
-
 @dataclass(eq=False)
 class _Search:
     weighing: Weighing
@@ -95,9 +90,8 @@ class _Search:
 
     def add(self, what: str, jobs: Sequence[Job]) -> None:
         """Weigh some models, and say how far this has come."""
-        for i, job in enumerate(jobs):
-            self.progress(f"weighing {what}", i, len(jobs))
-            self.weighing.weigh(*job)
+        for i, _ in enumerate(self.weighing.weigh(jobs)):
+            self.progress(f"weighing {what}", i + 1, len(jobs))
         # Before any is refined: a set is compared with others in one form.
         for keys, found in self.weighing.found.items():
             self.plain.setdefault(keys, found.log_evidence)
@@ -145,23 +139,30 @@ class _Search:
         found = self.weighing.found
         of_size = [keys for keys in found if len(keys) == size]
         ranked = sorted(of_size, key=lambda keys: -self.plain[keys])[:_REFINED]
+        jobs: list[Job] = []
         for keys in ranked:
             behind = self.plain[ranked[0]] - self.plain[keys]
             gain = found[keys].log_evidence - found[()].log_evidence
-            plain = found[keys]
             if keys in self.refined or behind > _BEHIND or gain < _WORTH_REFINING:
                 continue
             self.refined.add(keys)
-            for key in keys:
-                if key in plain.refined or not plain.model.effect(key).has_refinement:
-                    continue
-                free = [
-                    name
-                    for name, parameter in plain.model.parameters.items()
-                    if parameter.plain is None or name.split(".")[0] in plain.refined
-                ]
-                starts = refined_values(plain.model, plain.values, free)
-                self.add(f"{key}, refined", [(plain.model, starts, (*plain.refined, key))])
+            jobs += self._refined(found[keys], keys)
+        self.add("richer forms", jobs)
+
+    @staticmethod
+    def _refined(plain: Evaluated, keys: Keys) -> list[Job]:
+        """A model with each of its effects in richer form."""
+        free = [
+            name
+            for name, parameter in plain.model.parameters.items()
+            if parameter.plain is None or name.split(".")[0] in plain.refined
+        ]
+        starts = refined_values(plain.model, plain.values, free)
+        return [
+            (plain.model, starts, (*plain.refined, key))
+            for key in keys
+            if key not in plain.refined and plain.model.effect(key).has_refinement
+        ]
 
     def _ranked(self, size: int) -> list[Keys]:
         """Sets of a size, the best first."""

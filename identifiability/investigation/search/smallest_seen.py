@@ -205,6 +205,7 @@ class _Hidden:
                 p - h.halved().residuals(full) for p, h in zip(predicted, exactly, strict=True)
             ]
             error = sum(float(m @ m) for m in moved) / sum(float(t @ t) for t in left)
+            error /= scheme.shown
             if error <= _SOLVER_SHARE:
                 break
             if scheme.finest:
