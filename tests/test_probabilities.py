@@ -607,6 +607,16 @@ def probabilities(*rows):
             "undecided",
             (),
         ),
+        # One or the other, or both: that it is one of them is sure.
+        (
+            [
+                (("sensor_delay", "sensor_lowpass"), 0.5),
+                (("sensor_delay",), 0.2),
+                (("sensor_lowpass",), 0.3),
+            ],
+            "effects",
+            (("sensor_delay", "sensor_lowpass"),),
+        ),
         # Effects of one form are named together.
         ([(("series_tendon",), 1.0)], "effects", (("series_tendon", "maxwell_branch"),)),
     ],

@@ -2,10 +2,10 @@
 
 A Gaussian process over what a joint can resist by: its present angle and velocity (static), how far
 it moved since it turned back (hysteresis), its past motion (memory), time (stiffness and damping
-that vary alike in every trial; drift of the recorder, alike in every trial or not), where the torque was imposed a filter or
-shift of the recorder, and the model's own parameters, if they are not the same in all trials. Each
-kind has one size, of highest evidence. What is not the same in every
-trial is noise, of whatever colour.
+that vary alike in every trial; drift of the recorder, alike or not), where the torque was imposed a
+filter or shift of the recorder, and the model's own parameters, if they are not the same in all
+trials. Each kind has one size, of highest evidence. What else is not the same in every trial is
+noise, of whatever colour.
 
 Noise of an imposed angle is in what a discrepancy would be made of, too. A torque with memory could
 filter that noise away, as Wiener's filter would, and is no physics. So what the noise adds to the

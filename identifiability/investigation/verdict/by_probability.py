@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import Literal
 
 from identifiability.investigation.posterior.discrepancy import Discrepant
@@ -23,6 +24,7 @@ _UNKNOWN: dict[str, Kind] = {
     "drift": "measurement",
     "sensor": "measurement",
 }
+_MOST_OF_ONE = 3  # effects of which one is there
 _SHARE = 0.2  # of what differs between trials, from which one torque for all is spoken of
 
 
@@ -57,7 +59,8 @@ def claim_of(posterior: Probabilities, library: Mapping[str, type[Effect]], shar
     Nothing where that nothing is missing, or that it is something unknown, is among what together
     has this probability. Otherwise each effect of the most probable set, with what stands in its
     place in the others, and with what is of the same form; an effect in whose place others have
-    nothing, or more than one thing, is not claimed.
+    nothing, or more than one thing, is not claimed. If none can be, the two or three effects of
+    which one is surely there.
 
     Parameters
     ----------
@@ -81,10 +84,24 @@ def claim_of(posterior: Probabilities, library: Mapping[str, type[Effect]], shar
         else:
             for effect in gone:
                 del slots[effect]
+    if not slots and (either := _one_of(posterior, sets, share)):
+        slots = {next(e for e in either if e in sets[0]): list(either)}
     if not slots:
         return Claim("undecided", sets[0], (), posterior.of(sets[0]))
     named = tuple(_with_equals(names, library) for names in slots.values())
     return Claim("effects", tuple(slots), named, posterior.claim(named))
+
+
+def _one_of(
+    posterior: Probabilities, sets: Sequence[Sequence[str]], share: float
+) -> tuple[str, ...]:
+    """Two or three effects of which at least one is there, if just one choice of them is sure."""
+    every = dict.fromkeys(effect for effects in sets for effect in effects)
+    for n in range(2, _MOST_OF_ONE + 1):
+        sure = [names for names in combinations(every, n) if posterior.claim([names]) >= share]
+        if sure:
+            return sure[0] if len(sure) == 1 else ()
+    return ()
 
 
 def _with_equals(names: Sequence[str], library: Mapping[str, type[Effect]]) -> tuple[str, ...]:
