@@ -303,7 +303,7 @@ class Valued:
     def __init__(self, **log_evidence):
         self.log_evidence, self.asked = log_evidence, []
 
-    def evaluate(self, model, starts, *, refined=()):
+    def evaluate(self, model, starts, *, refined=(), noise=None):
         self.asked.append(model.effect_keys)
         key = "+".join(model.effect_keys)
         return evaluated_as(self.log_evidence[key], model, starts[0], tuple(refined))
@@ -543,10 +543,10 @@ class Pretended:
             self.found[keys] = evaluated_as(value, model, values)
 
     def weigh(self, jobs):
-        for model, starts, refined in jobs:
-            self.asked.append(model.effect_keys)
-            found = evaluated_as(1000.0, model, starts[0], tuple(refined))
-            yield self.found.update({model.effect_keys: found})
+        for job in jobs:
+            self.asked.append(job.model.effect_keys)
+            found = evaluated_as(1000.0, job.model, job.starts[0], tuple(job.refined))
+            yield self.found.update({job.model.effect_keys: found})
 
 
 def evaluated_as(value, model, values, refined=()):

@@ -36,6 +36,9 @@ class Parameter:
         for a parameter that the effect cannot do without.
     is_delay : bool
         Whether it is a delay, along which a fit's cost is wavy: fits go over its whole range.
+    ends_form : bool
+        Whether its bounds are where the form ends (a function that repeats itself, friction as
+        abrupt as it is integrated), not where joints do: values there speak for no other effect.
     """
 
     name: str
@@ -48,6 +51,7 @@ class Parameter:
     null: float | None = None
     plain: float | None = None
     is_delay: bool = False
+    ends_form: bool = False
 
     def __post_init__(self) -> None:
         if not self.lower < self.upper:

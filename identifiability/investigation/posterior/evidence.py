@@ -171,6 +171,7 @@ class Evaluator:
         *,
         refined: Sequence[str] = (),
         scheme: Scheme | None = None,
+        noise: Weights | None = None,
         least: float = -np.inf,
         resolved: bool = True,
     ) -> Evaluated:
@@ -184,6 +185,9 @@ class Evaluator:
         refined : sequence of str
         scheme : Scheme, optional
             To start with; what the model asks for by default.
+        noise : Weights, optional
+            Noise to start from besides white noise, such as that of a model with one effect less;
+            that of K, B and I by default.
         least : float
             Log evidence below which a model is not fitted any further.
         resolved : bool
@@ -200,7 +204,8 @@ class Evaluator:
         best = None
         points = np.array([problem.free_vector(values) for values in starts])
         beginnings = Beginnings.of(problem, self.band, inside(problem, points))
-        for weights in self.starts:
+        own, white = self.starts
+        for weights in (noise or own, white):
             begun = beginnings.best(weights, _CARRIED)
             found = self._settled(problem, begun, weights, refined, least)
             if best is None or found.log_evidence > best.log_evidence:
@@ -328,7 +333,7 @@ class Evaluator:
         parameter = problem.model.parameters[name]
         if name in ("K", "B", "I") or parameter.plain is not None:
             return False
-        return parameter.null is None
+        return parameter.null is None and not parameter.ends_form
 
     def priors(self, problem: Problem, x: np.ndarray, raw: Sequence[np.ndarray]) -> list[Prior]:
         """Priors of the free parameters at a point, by what a unit of each adds to the response.

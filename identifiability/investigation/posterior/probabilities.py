@@ -24,13 +24,12 @@ from identifiability.investigation.posterior.discrepancy import (
     discrepancy_of,
 )
 from identifiability.investigation.posterior.evidence import Evaluated, Evaluator
+from identifiability.investigation.posterior.noises import Weights
 from identifiability.joint.effects import DESCRIPTIONS
 from identifiability.joint.model import Model
 from identifiability.joint.programs import THREADS
 
 Keys = tuple[str, ...]
-Job = tuple[Model, Sequence[Mapping[str, float]], Sequence[str]]
-"""A model, values to start from, and keys of its effects that are refined."""
 
 # Share of the response that is nothing unknown: instruments are linear to so much, and motion
 # between samples is known to it.
@@ -159,6 +158,27 @@ def _matched(effects: Sequence[str], sets: Sequence[set[str]]) -> bool:
 
 
 @dataclass(frozen=True, eq=False)
+class Job:
+    """A model to be weighed.
+
+    Attributes
+    ----------
+    model : Model
+    starts : sequence of mapping
+        Values of all its parameters by name.
+    refined : sequence of str
+        Keys of the effects whose refining parameters are free.
+    noise : Weights or None
+        Noise to start from: that of the model that this one is more than.
+    """
+
+    model: Model
+    starts: Sequence[Mapping[str, float]]
+    refined: Sequence[str] = ()
+    noise: Weights | None = None
+
+
+@dataclass(frozen=True, eq=False)
 class _Forms:
     """Sets whose equations are not exact, or beside which there is something unknown.
 
@@ -217,17 +237,21 @@ class Weighing:
         best = max((f.log_evidence for f in self.found.values()), default=-np.inf)
 
         def evaluate(job: Job) -> Evaluated | str:
-            model, starts, refined = job
             try:
                 return self.evaluator.evaluate(
-                    model, starts, refined=refined, least=best - _LOST, resolved=False
+                    job.model,
+                    job.starts,
+                    refined=job.refined,
+                    noise=job.noise,
+                    least=best - _LOST,
+                    resolved=False,
                 )
             except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
                 return str(error)
 
         with ThreadPoolExecutor(THREADS) as pool:
-            for (model, _, _), found in zip(jobs, pool.map(evaluate, jobs), strict=True):
-                self._keep(model, found)
+            for job, found in zip(jobs, pool.map(evaluate, jobs), strict=True):
+                self._keep(job.model, found)
                 yield
 
     def _keep(self, model: Model, found: Evaluated | str) -> None:
@@ -250,7 +274,11 @@ class Weighing:
             return
         try:
             found = self.evaluator.evaluate(
-                known.model, [known.values], refined=known.refined, scheme=known.scheme
+                known.model,
+                [known.values],
+                refined=known.refined,
+                scheme=known.scheme,
+                noise=known.weights,
             )
         except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
             self.failures["+".join(keys)] = str(error)
@@ -282,7 +310,10 @@ class Weighing:
                     continue
                 try:
                     known[one.key] = self.evaluator.evaluate(
-                        one.model, one.starts, refined=one.refined
+                        one.model,
+                        one.starts,
+                        refined=one.refined,
+                        noise=self.found[keys].weights,
                     )
                 except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
                     self.failures["+".join((*one.rest, one.key))] = str(error)

@@ -58,7 +58,7 @@ def weigh(
     """
     weighing = Weighing(evaluator, len(library), baseline.keys)
     search = _Search(weighing, library, progress)
-    search.add("K, B and I", [(baseline.model, [baseline.values], baseline.refined)])
+    search.add("K, B and I", [Job(baseline.model, [baseline.values], baseline.refined)])
     if () not in weighing.found:
         raise InputError(f"the model to start from has no evidence: {weighing.failures['']}")
     search.enlarge(())
@@ -119,7 +119,8 @@ class _Search:
         """A set with one effect more, from its own values and the effect's alone."""
         model, values = current.model + effect, current.values
         if not current.model.effect_keys:
-            return model, starting_values(model, values, most=_STARTS, wide=True), current.refined
+            starts = starting_values(model, values, most=_STARTS, wide=True)
+            return Job(model, starts, current.refined, current.weights)
         starts = starting_values(model, values, most=_STARTS_BESIDE, wide=True)
         shape = {
             name: value
@@ -132,7 +133,7 @@ class _Search:
         # With a second effect the first one may have to take another shape.
         joint = {name: values[name] for name in ("K", "B", "I")}
         starts += starting_values(model, joint, most=_STARTS_BESIDE, wide=True)
-        return model, starts, current.refined
+        return Job(model, starts, current.refined, current.weights)
 
     def _refine(self, size: int) -> None:
         """Free the refining parameters of the best sets of a size."""
@@ -159,7 +160,7 @@ class _Search:
         ]
         starts = refined_values(plain.model, plain.values, free)
         return [
-            (plain.model, starts, (*plain.refined, key))
+            Job(plain.model, starts, (*plain.refined, key), plain.weights)
             for key in keys
             if key not in plain.refined and plain.model.effect(key).has_refinement
         ]

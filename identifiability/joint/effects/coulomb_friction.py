@@ -46,6 +46,7 @@ class CoulombFriction(Effect):
             lower=0.002,
             upper=0.3,
             description="velocity over which friction reverses",
+            ends_form=True,
         ),
         Parameter(
             "breakaway",

@@ -50,6 +50,7 @@ class Gravity(Effect):
             lower=-3.2,
             upper=3.2,
             description="angle of the operating point from hanging down",
+            ends_form=True,
         ),
     )
     references = ("Winter 2009, Biomechanics and Motor Control of Human Movement, ch. 5",)

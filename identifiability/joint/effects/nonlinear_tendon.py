@@ -68,6 +68,7 @@ class NonlinearTendon(Effect):
             lower=-1.0,
             upper=1.0,
             description="difference between the two muscles' tendons",
+            ends_form=True,
         ),
         Parameter(
             "bypass_stiffness",
