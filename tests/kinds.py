@@ -55,7 +55,7 @@ GENERIC = {
     "cubic_stiffness": {"centre": -0.05},
     "hill_force_velocity": {"asymmetry": 0.3},
     "loose_coupling": {"gap": 0.02, "own_stiffness": 200.0, "own_damping": 8.0},
-    "nonlinear_tendon": {"asymmetry": 0.3},
+    "nonlinear_tendon": {"asymmetry": 0.3, "bypass_stiffness": 4.0, "bypass_damping": 0.2},
     "quadratic_stiffness": {"hardening": 3.0},
     "sensor_delay": {"delay": 0.0033},
     "sensor_drift": {"bend": 0.1, "twist": 0.1},

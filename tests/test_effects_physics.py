@@ -432,10 +432,10 @@ def test_hill_muscle_with_a_nonlinear_tendon_carries_its_tension():
     """The element's velocity is the root of the balance of torques, found here by bisection."""
     tendon, muscle, damping = (120.0, 20.0, 0.3), (10.0, 5.0, 0.4), 0.1
     model = joint("hill_force_velocity", "nonlinear_tendon")
-    own = (*muscle, *tendon)
+    own = (*muscle, *tendon, 0.0, 0.0)
     assert [n.split(".")[0] for n in model.parameter_names[3:]] == [
         *["hill_force_velocity"] * 3,
-        *["nonlinear_tendon"] * 3,
+        *["nonlinear_tendon"] * 5,
     ]
 
     def rates(t, state):

@@ -318,7 +318,7 @@ def test_what_resembles_relaxation_is_held_against_it():
         found[keys] = evaluated_as(100.0 * len(keys), model, values)
     # The best of every size: of one effect it is the branch.
     found["gravity",] = replace(found["gravity",], log_evidence=50.0)
-    weighing = Weighing(evaluator, 15, found=found)
+    weighing = Weighing(evaluator, EFFECTS, found=found)
     weighing.describe()
     assert set(evaluator.asked) == {("gravity", "relaxation_spectrum"), ("relaxation_spectrum",)}
     assert weighing.described[("gravity",)]["relaxation_spectrum"].log_evidence == 300.0
@@ -329,12 +329,15 @@ def test_richer_forms_start_from_what_they_are_a_form_of():
     model = KBI() + EFFECTS["second_mass"]()
     values = dict(zip(model.parameter_names, model.nominal, strict=True))
     values["second_mass.frequency"] = 17.0
-    (found,) = descriptions_of(evaluated_as(0.0, model, values), ())[:1]
+    found, play = descriptions_of(evaluated_as(0.0, model, values), (), EFFECTS)
     assert found.key == "relaxation_spectrum"
-    play = descriptions_of(evaluated_as(0.0, model, values), ())[1]
     assert (play.key, play.rest, play.refined) == ("loose_coupling", (), ("loose_coupling",))
     assert play.starts[0]["loose_coupling.frequency"] == 17.0
     assert {s["loose_coupling.gap"] for s in play.starts} > {0.0}
+    # Relaxation at several paces is no news where relaxation at one was not tried.
+    fewer = [key for key in EFFECTS if key != "maxwell_branch"]
+    (only,) = descriptions_of(evaluated_as(0.0, model, values), (), fewer)
+    assert only.key == "loose_coupling"
 
 
 def test_something_unknown_is_said_to_be_like_a_description():
@@ -516,7 +519,7 @@ def weighing_of(moved, log_evidence):
         keys: replace(evaluated_as(value, KBI(), {}), raw=[np.asarray(moved[keys], float)[:, None]])
         for keys, value in log_evidence.items()
     }
-    return Weighing(None, 15, found=found)
+    return Weighing(None, EFFECTS, found=found)
 
 
 @pytest.mark.parametrize(("added", "sure"), [(0.05, False), (0.5, True)])

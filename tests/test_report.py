@@ -267,11 +267,14 @@ def test_a_number_without_unit_keeps_its_digits(quiet_study):
     # The unit of such a number is "1", which is not to be taken off its end.
     base = quiet_study.fit(KBI())
     model = KBI() + EFFECTS["nonlinear_tendon"]()
-    own = dict(zip(model.parameter_names[3:], (150.0, 11.0, 0.51), strict=True))
+    own = dict(zip(model.parameter_names[3:], (150.0, 11.0, 0.51, 4.2, 0.3), strict=True))
     found = replace(base, model=model, values=JOINT | own, free=model.parameter_names)
     row = _ranking_row(Ranked("nonlinear_tendon", found, 12.0, 0.1))
     assert row[1] == "physics"
-    assert row[5] == "stiffness 150 Nm/rad, hardening 11 1/rad, asymmetry 0.51"
+    assert row[5] == (
+        "stiffness 150 Nm/rad, hardening 11 1/rad, asymmetry 0.51, bypass stiffness 4.2 Nm/rad, "
+        "bypass damping 0.3 Nms/rad"
+    )
 
 
 def test_the_same_seed_gives_the_same_record():

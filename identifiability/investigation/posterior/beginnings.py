@@ -20,7 +20,6 @@ from identifiability.investigation.posterior.noises import Weighed, Weights, raw
 from identifiability.joint.programs import THREADS
 
 _TRIED = 4  # starts whose sizes are evaluated with their torque as it is, not linear
-_HUGE = 1e100  # response without bounds
 _SHARES = (1.0, 0.3)  # of a step, where the whole one leads astray
 
 
@@ -88,9 +87,6 @@ class Beginnings:
         )
         step = np.zeros(x.size)
         columns = np.column_stack([jacobian[:, sized], residuals])
-        # A start whose response has no bounds leaves more than any other.
-        if not np.all(np.abs(columns) < _HUGE):
-            return step, np.inf
         corner = np.asarray(np.linalg.qr(columns, mode="r"))
         size = np.maximum(np.linalg.norm(corner[:, :-1], axis=0), 1e-300)
         room = (problem.lower - x)[sized] * size, (problem.upper - x)[sized] * size

@@ -8,7 +8,7 @@ that resemble it, these are none of what is missing.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 
 from identifiability.inference.starts import refined_values, starting_values
@@ -42,20 +42,25 @@ class Description:
     refined: tuple[str, ...]
 
 
-def descriptions_of(found: Evaluated, base: tuple[str, ...]) -> list[Description]:
+def descriptions_of(
+    found: Evaluated, base: Collection[str], library: Collection[str]
+) -> list[Description]:
     """Descriptions in the place of effects of one model.
 
     Parameters
     ----------
     found : Evaluated
-    base : tuple of str
+    base : collection of str
         Effects that are no findings.
+    library : collection of str
+        Effects that are tried. What a description is a richer form of has to be among them: else
+        it would stand for that.
     """
     own = [key for key in found.model.effect_keys if key not in base]
     out = []
     for key, kind in DESCRIPTIONS.items():
         replaced = [k for k in own if k in kind.confused_with]
-        if not replaced:
+        if not replaced or not all(k in library for k in kind.refines):
             continue
         model = found.model
         for k in replaced:

@@ -103,7 +103,7 @@ def raw_residuals(
     residuals = problem.residuals(x).reshape(max(n, band.room[0]), -1, 1)
     jacobian = problem.jacobian(x).reshape(*residuals.shape[:2], -1)
     both = np.concatenate([residuals, jacobian], axis=2)
-    both = np.nan_to_num(both, nan=_HUGE, posinf=_HUGE, neginf=-_HUGE)
+    both = np.clip(np.nan_to_num(both, nan=_HUGE), -_HUGE, _HUGE)
     trials = band.stretches(both[:rows])
     if n == rows:
         return trials, None

@@ -9,7 +9,7 @@ equations are not exact; with more it is "none of these".
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from math import comb, log
@@ -207,8 +207,8 @@ class Weighing:
     Attributes
     ----------
     evaluator : Evaluator
-    n_library : int
-        Number of effects that could be tried.
+    library : collection of str
+        Keys of the effects that could be tried.
     base : tuple of str
         Effects of the model that the search starts from: they are no findings.
     found : dict of tuple of str to Evaluated
@@ -221,7 +221,7 @@ class Weighing:
     """
 
     evaluator: Evaluator
-    n_library: int
+    library: Collection[str]
     base: Keys = ()
     found: dict[Keys, Evaluated] = field(default_factory=dict)
     taken_up: dict[Keys, Evaluated] = field(default_factory=dict)
@@ -304,7 +304,7 @@ class Weighing:
         """Evaluate descriptions in the place of effects of the best set of every size."""
         ranked = sorted(self.found, key=lambda keys: -self.score(keys))
         for keys in {len(keys): keys for keys in reversed(ranked)}.values():
-            for one in descriptions_of(self.found[keys], self.base):
+            for one in descriptions_of(self.found[keys], self.base, self.library):
                 known = self.described.setdefault(one.rest, {})
                 if one.key in known or one.rest not in self.found:
                     continue
@@ -330,7 +330,8 @@ class Weighing:
 
     def log_prior(self, n_effects: int) -> float:
         """Of one set of so many effects, the unknown counted as one of the library."""
-        return -log(comb(self.n_library + 1, min(n_effects, self.n_library + 1)))
+        every = len(self.library) + 1
+        return -log(comb(every, min(n_effects, every)))
 
     def score(self, keys: Keys) -> float:
         """Log evidence and log prior [nats] of a set whose equations are exact."""
@@ -427,7 +428,7 @@ class Weighing:
         Equations that are wrong by so little as `_FORM` may be mended by an effect that is not
         there: then a set and the same with that effect are both what the data would look like.
         """
-        every = self.n_library + 1
+        every = len(self.library) + 1
         found: dict[Keys, float] = {}
         for keys in sorted(self.found, key=len, reverse=True):
             exact = self.found[keys].log_evidence

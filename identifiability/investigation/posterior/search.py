@@ -56,7 +56,7 @@ def weigh(
     InputError
         Where the model to start from cannot be evaluated.
     """
-    weighing = Weighing(evaluator, len(library), baseline.keys)
+    weighing = Weighing(evaluator, library, baseline.keys)
     search = _Search(weighing, library, progress)
     search.add("K, B and I", [Job(baseline.model, [baseline.values], baseline.refined)])
     if () not in weighing.found:

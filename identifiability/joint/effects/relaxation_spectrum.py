@@ -63,6 +63,7 @@ class RelaxationSpectrum(Effect):
         "stretch_reflex",
         "second_mass",
     )
+    refines = ("maxwell_branch",)
     parameters = tuple(p for n, pace in enumerate(_PACES, 1) for p in _branch(n, pace))
     references = ("Fung 1993, Biomechanics: Mechanical Properties of Living Tissues, ch. 2 and 7",)
 
