@@ -74,7 +74,10 @@ def test_equations_of_a_pair_are_those_of_its_effects(keys):
         tension = torque("series", Motion(joint.angle - internal[0], 0.0))
         assert muscle(contractile) == pytest.approx(tension, rel=1e-9)
         expected = [contractile.velocity]
-    assert float(found.torque) == pytest.approx(muscle(contractile) + torque("joint", joint))
+    beside = sum(float(e.bypass(p, joint)) for e, p in given if e.place == "series")
+    assert float(found.torque) == pytest.approx(
+        muscle(contractile) + torque("joint", joint) + beside
+    )
     for (effect, p), own, past in zip(given, states[:-1], pasts, strict=True):
         seen = contractile if effect.place == "muscle" else joint
         expected += list(effect.rates(p, seen, own, past)) if effect.n_states else []
