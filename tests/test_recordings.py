@@ -67,6 +67,35 @@ def test_imposed_angle_windows_agree_with_the_whole(angle_fit):
     assert window.widths["K"].optimum == pytest.approx(K, rel=0.02)
 
 
+@pytest.mark.parametrize("driven", ["torque", "angle"])
+@pytest.mark.parametrize(
+    ("joint", "pace"),
+    [
+        ({"K": 0.4, "B": 0.006, "I": 6e-5}, 1.0),
+        ({"K": 1100.0, "B": 250.0, "I": 75.0}, 0.1),
+        ({"K": 9000.0, "B": 40.0, "I": 0.4}, 2.0),
+    ],
+    ids=["finger", "stance", "robot"],
+)
+def test_joints_of_every_size_are_within_the_default_bounds(joint, pace, driven):
+    """Half of them were beyond the bounds of an elbow, and their K, B, I those of the bound."""
+    random = np.random.default_rng(2)
+    time = np.arange(2000) * 1e-3 / pace
+    held = np.repeat(random.choice([-1.0, 0.0, 1.0], 20), 100)
+    torque = 0.03 * joint["K"] * np.convolve(held, np.hanning(21) / np.hanning(21).sum(), "same")
+    model = KBI()
+    drive = SampledTorque(torque).drive(time)
+    angle = simulate(model, model.vector(joint), drive)
+    noise = 0.005 * random.standard_normal(time.size)
+    if driven == "torque":
+        trial = Trial(time, torque, angle + noise * angle.std(), driven="torque")
+    else:
+        trial = Trial(time, torque + noise * torque.std(), angle, driven="angle")
+    found = Investigation([trial]).baseline
+    assert found.values == pytest.approx(joint, rel=0.1)
+    assert not found.at_bound
+
+
 def test_a_wrong_sign_of_the_torque_is_not_fitted():
     trial = imposed_angle_trial(0.05)
     wrong = Trial(trial.time, -trial.torque, trial.angle, driven="angle")

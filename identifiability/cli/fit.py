@@ -57,7 +57,7 @@ def run(options: argparse.Namespace) -> int:
 
     check_seed(options.seed)
     lowpass = parse_lowpass(options.lowpass)
-    prior = Prior.physical(KBI(), **parse_bounds(options.bounds))
+    prior = Prior.recorded(KBI(), **parse_bounds(options.bounds))
     trials = read_trials(options)
     lengths = options.window or _usual_windows(trials)
     for length in lengths:

@@ -245,6 +245,15 @@ class Prior:
         return cls(lower, upper)
 
     @classmethod
+    def recorded(cls, model: Model, **bounds: tuple[float, float]) -> Prior:
+        """Bounds that any recorded joint lies within, a finger's, a standing body's or a robot's.
+
+        Some replaced by name. An index finger has some 1e-4 kg m², a standing body 70 kg m² and
+        1,000 Nm/rad (Winter 2009; Loram & Lakie 2002); a rigid drive is stiffer still.
+        """
+        return cls.physical(model, **{**_ANY_JOINT, **bounds})
+
+    @classmethod
     def unbounded(cls, model: Model) -> Prior:
         """No bounds, but for an inertia above zero, without which there is no motion."""
         n = len(model.parameter_names)
@@ -255,6 +264,9 @@ class Prior:
     def contains(self, points: np.ndarray) -> np.ndarray:
         """Whether each point, shape (..., n_parameters), lies inside."""
         return np.all((points >= self.lower) & (points <= self.upper), axis=-1)
+
+
+_ANY_JOINT = {"K": (0.0, 1e5), "B": (0.0, 1e4), "I": (1e-7, 1e3)}
 
 
 class Program(NamedTuple):

@@ -365,7 +365,7 @@ def fit_recordings(
         Where there is no trial, or the trials are driven differently, or a window does not fit.
     """
     model = KBI() if model is None else model
-    prior = Prior.physical(model) if prior is None else prior
+    prior = Prior.recorded(model) if prior is None else prior
     prepared = prepare(trials, lowpass_hz=lowpass_hz)
     whole_band = prepare_whole_band(trials, lowpass_hz=lowpass_hz)
     selections_by_window = [[windows(p, length) for p in prepared] for length in window_lengths]
@@ -445,7 +445,7 @@ def fit_with_noise(
     seed : int
         Of the starts.
     """
-    prior = Prior.physical(KBI()) if prior is None else prior
+    prior = Prior.recorded(KBI()) if prior is None else prior
     prepared = prepare(trials, lowpass_hz=lowpass_hz)
     whole_band = prepare_whole_band(trials, lowpass_hz=lowpass_hz)
     pose = partial(recording_problem, model=KBI(), prior=prior)

@@ -19,6 +19,7 @@ _NARROW = 3  # ratio of bounds up to which starts between them are equally space
 _SOFTER = (3.0, 10.0)  # stiffness of a tendon over the joint's
 _WIDELY_SOFTER = (1.0, 3.0, 10.0)
 _MOST_STARTS = 6
+_PART = 0.1  # of the torque, that a property makes of which regression finds nothing
 
 
 def starting_values(
@@ -135,7 +136,7 @@ def first_guess(trials: Sequence[Trial], prior: Prior) -> np.ndarray:
     -------
     array, shape (3,)
     """
-    rows, targets = [], []
+    rows, targets, sizes = [], [], []
     for trial in trials:
         angle, torque = trial.angle, trial.torque
         if trial.driven == "torque":
@@ -146,8 +147,11 @@ def first_guess(trials: Sequence[Trial], prior: Prior) -> np.ndarray:
             angle, torque = (signal.sosfiltfilt(sos, x, padlen=pad) for x in (angle, torque))
         motion = imposed_motion(trial.time, angle).signals
         scale = np.std(torque)
+        sizes.append(scale / np.maximum(np.std(motion, axis=0), 1e-300))
         rows.append(np.column_stack([motion - motion.mean(axis=0)]) / scale)
         targets.append((torque - torque.mean()) / scale)
     guess = np.linalg.lstsq(np.concatenate(rows), np.concatenate(targets), rcond=None)[0]
     lower, upper = prior.lower[:3], prior.upper[:3]
-    return np.clip(np.where(guess > 0, guess, [50.0, 1.0, 0.05]), lower, upper)
+    # What regression finds nothing of may still be there, as a part of the torque.
+    small = _PART * np.median(sizes, axis=0)
+    return np.clip(np.where(guess > 0, guess, small), lower, upper)

@@ -74,7 +74,7 @@ class Workbench:
     def prior(self, model: Model) -> Prior:
         """The physical bounds of a model's parameters, or others where some were given."""
         names = model.parameter_names
-        return Prior.physical(model, **{n: b for n, b in self.bounds.items() if n in names})
+        return Prior.recorded(model, **{n: b for n, b in self.bounds.items() if n in names})
 
     def problem(
         self,

@@ -35,7 +35,7 @@ class SecondMass(Effect):
             "kg m²",
             nominal=0.02,
             lower=0.0,
-            upper=1.0,
+            upper=100.0,
             null=0.0,
             description="inertia of the mass about the joint",
         ),
