@@ -33,6 +33,7 @@ from identifiability.investigation.posterior.discrepancy import (
 )
 from identifiability.investigation.posterior.evidence import (
     Evaluated,
+    Prior,
     _log_volume,
     evaluator_of,
 )
@@ -505,6 +506,27 @@ def test_noise_of_the_angle_is_known_from_its_steps_or_its_floor(rounded, expect
     assert known_noise([replace(trial, angle=smooth)]) < 1e-6
 
 
+@pytest.mark.parametrize("driven", ["torque", "angle"])
+def test_of_a_long_record_parts_all_over_it_are_compared(driven):
+    ((time, motion),) = motions(1, 5, rate=500, seconds=90.0)
+    torque, angle = reaction(Joint(ANATOMY), motion, time), motion.at(time)[0]
+    band = band_of([Trial(time, torque, angle, driven=driven)], (), lowpass_hz=None)
+    assert band.n_recorded == pytest.approx(band.prepared[0].trial.n_samples / band.every, rel=0.01)
+    assert 8_192 / 1.5 < band.n_samples < 1.5 * 8_192
+    assert band.room[0] == len(band.observations) * (1 if driven == "torque" else 2)
+    response = band.prepared[0].response
+    for observation, window, span in zip(band.observations, band.windows, band.spans, strict=True):
+        np.testing.assert_array_equal(observation.measured[window], response[span])
+    begins = [span.start for span in band.spans]
+    assert begins == sorted(begins)
+    assert begins[0] < 0.2 * response.size
+    assert band.spans[-1].stop > 0.8 * response.size
+    # One record, with one offset.
+    assert [o.continues for o in band.observations] == [False] + [True] * (len(begins) - 1)
+    constants = [o.constant for o in band.observations]
+    assert np.sum(np.concatenate(constants) ** 2) in (0.0, pytest.approx(1.0))
+
+
 def test_trials_of_several_rates_are_brought_to_the_lowest():
     slow, fast = (servo_trials(Joint(ANATOMY), n=1, rate=r)[0] for r in (250, 500))
     band = band_of([slow, fast], ())
@@ -567,13 +589,53 @@ def test_sets_are_compared_in_one_form():
     assert weighing.asked == [("stretch_reflex",), ("activation_lag",)]
 
 
+@pytest.mark.parametrize(("pair", "poor"), [(1050.0, False), (1900.0, True)])
+def test_what_a_second_effect_only_mends_is_not_replaced_by_it(pair, poor):
+    weighing = Pretended(nothing=0.0, cubic_stiffness=1000.0, coulomb_friction=20.0)
+    keys = ("coulomb_friction", "cubic_stiffness")
+    weighing.found[keys] = evaluated_as(pair, KBI(), {})
+    assert _Search(weighing, EFFECTS, silent).was_poor(keys) == poor
+
+
+# Priors
+
+
+def test_a_segment_weighs_what_its_inertia_says():
+    """Hand, forearm with hand, leg and body as Winter 2009 has them, within a factor of 1.4."""
+    for inertia, moment in [(0.0055, 0.42), (0.074, 2.8), (0.62, 14.0), (3.3, 49.0), (71.0, 660.0)]:
+        ((median, _),) = EFFECTS["gravity"]().typical({"I": inertia}).values()
+        assert 1 / 1.4 < median / moment < 1.4
+
+
+def test_priors_of_what_is_typical_integrate_to_one_over_its_logarithm():
+    prior = Prior("typical", 1.3, 2.5)
+    total = integrate.quad(lambda u: np.exp(prior.log_density(np.exp(u))), -15, 15, points=[1.0])
+    assert total[0] == pytest.approx(1.0)
+    assert prior.log_density(2.5) > prior.log_density(2.4)
+    assert prior.turn(2.4) == pytest.approx(2.4)
+    assert np.isfinite(prior.log_density(0.0))
+
+
+def test_noise_that_is_most_of_a_response_is_improbable():
+    """Or long memory could make noise of a response."""
+    ev = evaluator_for(servo_trials(Joint(ANATOMY), torque_sd=0.05))
+    problem = ev.band.problem(KBI())
+    x = problem.free_vector(START)
+    weights = ev.starts[0]
+    share = (weights.estimate.rms / ev.band.scale) ** 2
+    doubled = replace(weights, estimate=replace(weights.estimate, rms=2 * weights.estimate.rms))
+    less = ev.evaluated(problem, x, weights).log_evidence
+    less -= ev.evaluated(problem, x, doubled).log_evidence
+    assert less == pytest.approx(3 * share / 0.02, rel=1e-6)
+
+
 # Claims
 
 
 def probabilities(*rows):
     """Rows of (effects, probability) as probabilities."""
     ranked = tuple(SetProbability(e, p, 0.0) for e, p in sorted(rows, key=lambda r: -r[1]))
-    return Probabilities(ranked, (), {}, 1.0, 1.0, None, (), None, {})
+    return Probabilities(ranked, (), {}, 1.0, 1.0, None, (), {}, None, {}, (100, 100))
 
 
 @pytest.mark.parametrize(
@@ -629,6 +691,31 @@ def test_no_more_is_named_than_is_probable(rows, kind, sets):
     assert (found.kind, found.sets) == (kind, sets)
     if kind == "effects":
         assert found.probability >= 0.95
+
+
+def test_what_is_there_whatever_else_is_stands_beside_something_unknown():
+    """What no model does without is said; the effect that only some have is not."""
+    found = replace(
+        probabilities((None, 0.7), (("gravity", "coulomb_friction"), 0.3)),
+        unknown=("coulomb_friction", "cubic_stiffness", "gravity"),
+        beside_unknown={
+            ("coulomb_friction", "cubic_stiffness", "gravity"): 0.6,
+            ("cubic_stiffness", "gravity"): 0.1,
+        },
+        candidates={("coulomb_friction", "gravity"): None, ("gravity",): None, (): None},
+    )
+    assert found.present("gravity") == pytest.approx(1.0)
+    assert found.present("coulomb_friction") == pytest.approx(0.9)
+    claim = claim_of(found, EFFECTS, 0.95)
+    assert (claim.kind, claim.effects, claim.sets) == ("unknown", ("gravity",), ())
+    verdict = by_probability(Verdict("explained", (("gravity",),)), claim, found, (), EFFECTS)
+    assert (verdict.kind, verdict.sets) == ("unknown_static", ())
+    said = [_reason(reason, None) for reason in verdict.reasons]
+    assert any(s.startswith("Whatever else is missing, these are there: gravity") for s in said)
+    assert not any("coulomb friction 9" in s for s in said[1:])
+    # Where nothing is sure, nothing is said to be.
+    assert claim_of(found, EFFECTS, 0.85).effects == ("coulomb_friction", "gravity")
+    assert not claim_of(replace(found, beside_unknown={(): 0.7}), EFFECTS, 0.95).effects
 
 
 def test_effects_that_are_claimed_each_need_one_of_their_own():

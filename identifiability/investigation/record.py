@@ -41,7 +41,8 @@ def investigation_record(findings: Findings, *, command: str = "") -> dict[str, 
     dict
         ``schema``, ``baseline``, ``steps``, ``verdict``, ``posterior``, ``discrepancy`` and
         ``next_experiment``, then everything else that the report shows. E is Eq. 3's error pooled
-        over trials. In the posterior ``effects`` of none is none of the known ones.
+        over trials. In the posterior ``effects`` of none is none of the known ones; ``present``
+        is the probability of each effect, whatever else there is.
     """
     found, verdict, split = findings.found, findings.verdict, findings.split
     written: dict[str, Any] = plain(
@@ -80,6 +81,8 @@ def investigation_record(findings: Findings, *, command: str = "") -> dict[str, 
                 "smallest_seen": [asdict(seen) for seen in verdict.smallest_seen],
             },
             "posterior": _probabilities(findings.posterior),
+            "present": _present(findings.posterior),
+            "weighed": _weighed(findings.posterior),
             "discrepancy": _discrepancy(findings.posterior),
             "next_experiment": _next_experiment(findings.next_experiment),
             "rankings": [
@@ -158,6 +161,24 @@ def _probabilities(posterior: Probabilities | None) -> list[dict[str, Any]] | No
         }
         for row in posterior.rows
     ]
+
+
+def _present(posterior: Probabilities | None) -> dict[str, float] | None:
+    """Probability that each effect is there, whatever else is."""
+    if posterior is None:
+        return None
+    sets = [row.effects or () for row in posterior.rows]
+    named = dict.fromkeys(e for keys in (*sets, *posterior.beside_unknown) for e in keys)
+    found = {effect: posterior.present(effect) for effect in named}
+    return dict(sorted(found.items(), key=lambda item: -item[1]))
+
+
+def _weighed(posterior: Probabilities | None) -> dict[str, int] | None:
+    """Samples that the probabilities are of: of long records they are parts all over it."""
+    if posterior is None:
+        return None
+    compared, recorded = posterior.samples
+    return {"samples": compared, "of": recorded}
 
 
 def _discrepancy(posterior: Probabilities | None) -> dict[str, Any] | None:

@@ -37,6 +37,7 @@ _HALF_BAND = signal.firwin(23, 0.5)
 _ENOUGH = 3.9  # samples a cycle of the cut-off, of which every other one is enough
 _SAME_RATE = 1e-3
 _AROUND, _STANDS = 5, 0.6  # samples; steps: a filter makes less of one
+_MOST = 8_192  # samples that are compared; of more, parts all over the record
 _CLEAR = 10.0  # times the noise that the motion is, up to the cut-off
 
 
@@ -80,7 +81,7 @@ class Band:
     @cached_property
     def observations(self) -> list[Observation]:
         """The trials, long ones in pieces; residuals are in the response's unit."""
-        return [o for p in self.prepared for o in pieces(p, Noise(1.0))]
+        return [o for o, _ in self._pieces(self.prepared)]
 
     @cached_property
     def windows(self) -> list[np.ndarray]:
@@ -100,11 +101,31 @@ class Band:
     @cached_property
     def spans(self) -> list[slice]:
         """Of each observation, its place among the samples of its trial, between its ends."""
-        begins = [p.first for p in self.prepared]
-        out = []
-        for window, trial in zip(self.windows, self.trial, strict=True):
-            first, begins[trial] = begins[trial], begins[trial] + window.size
-            out.append(slice(first, begins[trial]))
+        return [span for _, span in self._pieces(self.prepared)]
+
+    @cached_property
+    def n_recorded(self) -> int:
+        """Number of samples that could be compared."""
+        return sum(-(-(p.last - p.first) // self.every) for p in self.prepared)
+
+    def _pieces(self, prepared: Sequence[Prepared]) -> list[tuple[Observation, slice]]:
+        """Trials in pieces with their places, of long records as many as are compared."""
+        share = min(1.0, _MOST / self.n_recorded)
+        out: list[tuple[Observation, slice]] = []
+        for p in prepared:
+            every = pieces(p, Noise(1.0))
+            ends = p.first + np.cumsum([0, *(np.count_nonzero(o.scale > 0) for o in every)])
+            n = max(1, round(share * len(every)))
+            kept = np.linspace(0, len(every), n, endpoint=False) + 0.5 * (len(every) / n - 1)
+            chosen = [int(i) for i in np.round(kept)]
+            # The pieces that are left share the record's one offset.
+            norm = np.sqrt(sum(np.sum(every[i].constant ** 2) for i in chosen))
+            for i in chosen:
+                one = every[i]
+                if n < len(every):
+                    shared = one.constant / (norm if norm > 0 else 1.0)
+                    one = replace(one, constant=shared, continues=i != chosen[0])
+                out.append((one, slice(int(ends[i]), int(ends[i + 1]))))
         return out
 
     @cached_property
@@ -140,10 +161,11 @@ class Band:
 
     def moved(self, angles: Sequence[np.ndarray]) -> list[Observation]:
         """The observations, moved by other angles [rad], one by trial."""
-        out: list[Observation] = []
-        for p, angle in zip(self.prepared, angles, strict=True):
-            out += pieces(replace(p, drive=imposed_motion(p.trial.time, angle)), Noise(1.0))
-        return out
+        moved = [
+            replace(p, drive=imposed_motion(p.trial.time, angle))
+            for p, angle in zip(self.prepared, angles, strict=True)
+        ]
+        return [o for o, _ in self._pieces(moved)]
 
     @property
     def stands(self) -> list[np.ndarray]:
@@ -169,7 +191,7 @@ class Band:
         return Problem(
             model,
             [*self.observations, *probes],
-            Prior.physical(model, **bounds),
+            Prior.recorded(model, **bounds),
             fixed=plain_values(model, refined),
             scheme=scheme,
             room=self.room,
@@ -216,7 +238,8 @@ def band_of(
     step = max(rounding_step(trial.angle) for trial in recorded)
     band = Band(fitted, 1, dict(bounds or {}), step=step)
     if fitted[0].trial.driven == "torque":
-        return replace(band, room=room)
+        n = len(band.observations) if band.n_samples < band.n_recorded else room[0]
+        return replace(band, room=(n, room[1]))
     cutoff_hz, interval = cutoff(every, lowpass_hz), fitted[0].interval
     # What thinning leaves of white noise.
     noise = known_noise(recorded) / np.sqrt(max(1.0, interval * recorded[0].sampling_rate))

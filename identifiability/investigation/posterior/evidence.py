@@ -35,6 +35,9 @@ from identifiability.joint.model import KBI, Model
 from identifiability.joint.scheme import Scheme
 
 _JOINT_RANGE = 4.0  # responses to K, B or I, over the measured one, that the prior spans
+# Of the response's energy that is noise, the mean of an exponential prior: more than a few percent
+# would be a poor recording. Without it noise of long memory may be the response itself.
+_NOISE_SHARE = 0.02
 _DECADE = 10.0  # ratio of bounds from which a shape's prior is uniform by ratios
 _EVALUATIONS, _ROUNDS = 12, 2
 _SOLVER = 1.0  # squared error of the integration, all samples together, over the noise's
@@ -51,18 +54,18 @@ class Prior:
 
     Attributes
     ----------
-    form : {"uniform", "ratio", "size", "compliance"}
-        Uniform in the parameter or in its logarithm; or normal in its distance from where the
-        effect vanishes, which of a stiffness is its compliance.
+    form : {"uniform", "ratio", "size", "compliance", "typical"}
+        Uniform in the parameter or in its logarithm; normal in its distance from where the effect
+        vanishes, which of a stiffness is its compliance; or normal in its logarithm.
     width : float
         Of a uniform one the range, of a normal one the standard deviation.
     null : float
-        Value at which the effect vanishes.
+        Value at which the effect vanishes; of a typical one, the median.
     one_sided : bool
         Whether a normal one has only one side.
     """
 
-    form: Literal["uniform", "ratio", "size", "compliance"]
+    form: Literal["uniform", "ratio", "size", "compliance", "typical"]
     width: float
     null: float = 0.0
     one_sided: bool = False
@@ -74,12 +77,15 @@ class Prior:
 
     def turn(self, value: float) -> float:
         """Derivative of the parameter with respect to the coordinate."""
-        return {"ratio": value, "compliance": -(value**2)}.get(self.form, 1.0)
+        turns = {"ratio": value, "typical": value, "compliance": -(value**2)}
+        return turns.get(self.form, 1.0)
 
     def distance(self, value: float) -> float:
         """Of the coordinate from where the effect vanishes; 0 for what makes none vanish."""
         if self.form == "compliance":
             return 1 / value
+        if self.form == "typical":
+            return float(np.log(max(value, 1e-300) / self.null))
         return value - self.null if self.form == "size" else 0.0
 
     def log_density(self, value: float) -> float:
@@ -163,6 +169,11 @@ class Evaluator:
     def band(self) -> Band:
         """What is compared."""
         return self.reference.band
+
+    @property
+    def white(self) -> Weights:
+        """White noise, of the size of what K, B and I leave."""
+        return self.starts[1]
 
     def evaluate(
         self,
@@ -297,8 +308,10 @@ class Evaluator:
         volume, inside, gains = _log_volume(precision, gradient, at_bound)
         order = weights.n_parameters
         n = self.band.n_samples
+        share = (weights.estimate.rms / self.band.scale) ** 2
         log_evidence = (
-            sum(p.log_density(value) for p, value in zip(priors, x, strict=True))
+            -share / _NOISE_SHARE
+            + sum(p.log_density(value) for p, value in zip(priors, x, strict=True))
             + volume
             - 0.5 * (weighed.squares_of(white, probe) + weights.log_determinant)
             - order * n / max(1, n - order - 2)
@@ -347,6 +360,8 @@ class Evaluator:
         """
         sizes = np.sqrt(np.mean(np.concatenate(raw)[:, 1:] ** 2, axis=0))
         out = []
+        values = dict(zip(problem.model.parameter_names, problem.complete(x), strict=True))
+        typical = {n: t for e in problem.model.effects for n, t in e.typical(values).items()}
         for name, value, low, high, size in zip(
             problem.names, x, problem.lower, problem.upper, sizes, strict=True
         ):
@@ -354,6 +369,9 @@ class Evaluator:
             if name in ("K", "B", "I"):
                 width = float(self.joint_widths[("K", "B", "I").index(name)])
                 out.append(Prior("uniform", width))
+            elif name in typical:
+                median, spread = typical[name]
+                out.append(Prior("typical", spread, median))
             elif null is None and low > 0 and high > _DECADE * low:
                 out.append(Prior("ratio", float(np.log(high / low))))
             elif null is None:

@@ -28,6 +28,7 @@ from identifiability.investigation.posterior.noises import Weights
 from identifiability.joint.effects import DESCRIPTIONS
 from identifiability.joint.model import Model
 from identifiability.joint.programs import THREADS
+from identifiability.progress import Progress, silent
 
 Keys = tuple[str, ...]
 
@@ -81,11 +82,16 @@ class Probabilities:
         be computed.
     unknown : tuple of str
         Of "none of these", the known effects beside which something unknown is most probable.
+    beside_unknown : mapping of tuple of str to float
+        Probability of each set of known effects and something unknown besides; together that of
+        "none of these".
     description : str or None
         Key of the description that something unknown comes nearest to; None where it is of another
         form.
     candidates : mapping of tuple of str to Candidate
         Each set as it was weighed, to be fitted from there.
+    samples : tuple of int
+        Number of samples that were compared, and of those that were recorded in that band.
     failures : mapping of str to str
         Models that could not be evaluated, and why.
     """
@@ -97,8 +103,10 @@ class Probabilities:
     response: float
     discrepancy: Discrepant | None
     unknown: tuple[str, ...]
+    beside_unknown: Mapping[tuple[str, ...], float]
     description: str | None
     candidates: Mapping[tuple[str, ...], Candidate]
+    samples: tuple[int, int]
     failures: Mapping[str, str] = field(default_factory=dict)
 
     def of(self, effects: Sequence[str] | None) -> float:
@@ -115,6 +123,11 @@ class Probabilities:
     def none_of_these(self) -> float:
         """Probability that something is missing which no known effect is."""
         return self.of(None)
+
+    def present(self, effect: str) -> float:
+        """Probability that an effect is there, whatever else is, something unknown included."""
+        named = sum(row.probability for row in self.rows if effect in (row.effects or ()))
+        return named + sum(p for keys, p in self.beside_unknown.items() if effect in keys)
 
     def claim(self, sets: Sequence[Sequence[str]]) -> float:
         """Probability that each of some sets of alternatives holds an effect that is there.
@@ -211,6 +224,8 @@ class Weighing:
         Keys of the effects that could be tried.
     base : tuple of str
         Effects of the model that the search starts from: they are no findings.
+    progress : callable
+        Told ``(what, done, total)``.
     found : dict of tuple of str to Evaluated
         The best form of each set.
     taken_up : dict of tuple of str to Evaluated
@@ -223,6 +238,7 @@ class Weighing:
     evaluator: Evaluator
     library: Collection[str]
     base: Keys = ()
+    progress: Progress = silent
     found: dict[Keys, Evaluated] = field(default_factory=dict)
     taken_up: dict[Keys, Evaluated] = field(default_factory=dict)
     described: dict[Keys, dict[str, Evaluated]] = field(default_factory=dict)
@@ -272,6 +288,7 @@ class Weighing:
         known = self.found[keys]
         if self.taken_up.get(keys) is known:
             return
+        self.progress(f"weighing {' + '.join(['K, B, I', *keys])} further", 0, 1)
         try:
             found = self.evaluator.evaluate(
                 known.model,
@@ -308,6 +325,7 @@ class Weighing:
                 known = self.described.setdefault(one.rest, {})
                 if one.key in known or one.rest not in self.found:
                     continue
+                self.progress(f"weighing {' + '.join(['K, B, I', *one.rest, one.key])}", 0, 1)
                 try:
                     known[one.key] = self.evaluator.evaluate(
                         one.model,
@@ -353,8 +371,10 @@ class Weighing:
             self.evaluator.band.scale,
             forms.beside.get(shown),
             unknown,
+            self._beside_unknown(rows, forms),
             forms.described.get(unknown),
             {k: unfitted(f.model, [f.values], f.refined, f.scheme) for k, f in self.found.items()},
+            (self.evaluator.band.n_samples, self.evaluator.band.n_recorded),
             dict(self.failures),
         )
 
@@ -362,7 +382,9 @@ class Weighing:
         """The sets that come near, with their equations inexact, and with something unknown."""
         discrepancies = discrepancy_of(self.evaluator, self.found[ranked[0]])
         least, forms = self.score(ranked[0]) - _CONTENDS, _Forms()
-        for keys in self._near():
+        near = self._near()
+        for i, keys in enumerate(near):
+            self.progress("weighing something unknown", i, len(near))
             found, besides = self.found[keys], self._besides(keys)
             if found.beyond > _SURE and self.score(keys) > least:
                 # The same effects with values that no joint has are none of these. By how much more
@@ -421,6 +443,15 @@ class Weighing:
         most = max((d.log_evidence for d in forms.beside.values()), default=-np.inf)
         rows.append(SetProbability(None, float(of_unknown / total), most))
         return tuple(sorted(rows, key=lambda row: -row.probability))
+
+    @staticmethod
+    def _beside_unknown(rows: Sequence[SetProbability], forms: _Forms) -> dict[Keys, float]:
+        """Probability of "none of these" by the known effects beside which it is."""
+        whole = next(row.probability for row in rows if row.effects is None)
+        top = max(forms.unknown.values(), default=0.0)
+        weights = {keys: np.exp(value - top) for keys, value in forms.unknown.items()}
+        total = sum(weights.values())
+        return {keys: float(whole * w / total) for keys, w in weights.items()}
 
     def _named(self, inexact: Mapping[Keys, float]) -> dict[Keys, float]:
         """Log of what is proportional to the probability of each set, its equations exact or not.

@@ -22,6 +22,7 @@ _WORTH_REFINING = 3.0  # nats before K, B and I alone
 _BEHIND = 60.0  # nats behind the best of its size, from which a set is not refined
 _NEAR = 12.0  # nats behind the best single effect, within which another is enlarged too
 _EXCHANGED = 2  # effects up to which each is tried without the one that was found before it
+_POOR = 0.1  # share of what a set gained, that one effect more gains, if it was a poor picture
 
 
 def weigh(
@@ -37,7 +38,7 @@ def weigh(
     every effect whose signature is in what it leaves, for as long as that makes it more probable;
     so is a single effect that comes near.
     What was added last may be what was missing all along, and what was found before it a poor
-    picture of it: of a pair, both are enlarged.
+    picture of it: of a pair that leaves much less, both are enlarged.
 
     Parameters
     ----------
@@ -56,7 +57,7 @@ def weigh(
     InputError
         Where the model to start from cannot be evaluated.
     """
-    weighing = Weighing(evaluator, library, baseline.keys)
+    weighing = Weighing(evaluator, library, baseline.keys, progress)
     search = _Search(weighing, library, progress)
     search.add("K, B and I", [Job(baseline.model, [baseline.values], baseline.refined)])
     if () not in weighing.found:
@@ -71,7 +72,7 @@ def weigh(
         for _ in range(size if size <= _EXCHANGED else 0):
             found = search.best(size)
             left = search.not_enlarged(found) if found is not None else None
-            if left is None:
+            if found is None or left is None or not search.was_poor(found):
                 break
             search.enlarge(left)
     weighing.settle()
@@ -186,6 +187,16 @@ class _Search:
         """Whether a set is more probable than the best with one effect less."""
         smaller = self._ranked(len(keys) - 1)[0]
         return self.weighing.score(keys) > self.weighing.score(smaller)
+
+    def was_poor(self, keys: Keys) -> bool:
+        """Whether a set leaves so much less than the best with one effect less.
+
+        If not, what was added last may mend that one's equations, but does not do its work.
+        """
+        found = self.weighing.found
+        smaller, nothing = found[self._ranked(len(keys) - 1)[0]], found[()]
+        more = found[keys].log_evidence - smaller.log_evidence
+        return more > _POOR * (smaller.log_evidence - nothing.log_evidence)
 
     def not_enlarged(self, keys: Keys) -> Keys | None:
         """Rest of a set without one of its effects that has not been enlarged itself."""

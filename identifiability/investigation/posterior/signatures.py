@@ -1,8 +1,9 @@
-"""Effects whose signature is in what a model leaves, as its own noise weighs it.
+"""Effects whose signature is in what a model leaves, as its noise weighs it.
 
 The signature is the change of K, B and I's response by a small effect, at the shapes that a fit
 would start from and at the one it had alone. Of it only the part counts that the model's own
-parameters cannot absorb.
+parameters cannot absorb. It is sought in the model's own noise and in white noise: noise of long
+memory may have taken the place of what is missing.
 """
 
 from __future__ import annotations
@@ -13,8 +14,11 @@ import numpy as np
 
 from identifiability.inference.starts import starting_values
 from identifiability.investigation.posterior.evidence import Evaluated, Evaluator
+from identifiability.investigation.posterior.noises import Weights
 from identifiability.joint.effects import Effect
 from identifiability.joint.model import KBI, Model
+
+_NEGLIGIBLE = 1e-8  # of directions that repeat each other
 
 
 def strongest(
@@ -36,22 +40,25 @@ def strongest(
     alone : mapping of str to mapping
         Values of the parameters that effects had beside K, B and I, where they were fitted.
     most : int
-        Number of effects to keep.
+        Number of effects to keep by each noise; together up to half as many more.
     """
     if len(effects) <= most:
         return list(effects)
     joint = {name: found.values[name] for name in ("K", "B", "I")}
     plain = _residual(evaluator, KBI(), joint)
-    scores = {}
+    changes = {}
     for key, effect in effects.items():
         model = KBI() + effect()
         shapes = starting_values(model, joint)
         if key in alone:
             shapes.append({**alone[key], **joint})
-        changes = [_residual(evaluator, model, shape) - plain for shape in shapes]
-        scores[key] = max(_score(evaluator, found, change) for change in changes)
-    ranked = sorted(scores, key=lambda key: -scores[key])[:most]
-    return [key for key in effects if key in ranked]
+        changes[key] = [_residual(evaluator, model, shape) - plain for shape in shapes]
+    kept: set[str] = set()
+    for weights, n in ((found.weights, most), (evaluator.white, most // 2)):
+        left = _Left(evaluator, found, weights)
+        scores = {key: max(map(left.removed, mine)) for key, mine in changes.items()}
+        kept |= set(sorted(scores, key=lambda key: -scores[key])[:n])
+    return [key for key in effects if key in kept]
 
 
 def _residual(evaluator: Evaluator, model: Model, values: Mapping[str, float]) -> np.ndarray:
@@ -60,13 +67,27 @@ def _residual(evaluator: Evaluator, model: Model, values: Mapping[str, float]) -
     return problem.residuals(problem.free_vector(values))
 
 
-def _score(evaluator: Evaluator, found: Evaluated, change: np.ndarray) -> float:
-    """Decrease of the sum of squares by a change of the right size; 0 where it is not finite."""
-    band = evaluator.band
-    rows = change.reshape(max(len(band.observations), band.room[0]), -1, 1)
-    if not np.all(np.isfinite(rows)):
-        return 0.0
-    white = found.weights.whitened(band.stretches(rows))[:, 0]
-    white = white - found.directions @ np.linalg.solve(found.precision, found.directions.T @ white)
-    size = float(white @ white)
-    return float(white @ found.white) ** 2 / size if size > 0 else 0.0
+class _Left:
+    """What a model leaves, as one noise weighs it, beyond what its parameters could absorb."""
+
+    def __init__(self, evaluator: Evaluator, found: Evaluated, weights: Weights) -> None:
+        self.band, self.weights = evaluator.band, weights
+        white = weights.whitened(found.raw)
+        directions = white[:, 1:] @ found.turns
+        size = np.maximum(np.linalg.norm(directions, axis=0), 1e-300)
+        # An orthonormal basis of what is not next to nothing.
+        basis, lengths, _ = np.linalg.svd(directions / size, full_matrices=False)
+        self.basis = basis[:, lengths > _NEGLIGIBLE]
+        self.residual = self._rest(white[:, 0])
+
+    def _rest(self, white: np.ndarray) -> np.ndarray:
+        return white - self.basis @ (self.basis.T @ white)
+
+    def removed(self, change: np.ndarray) -> float:
+        """Share of the squares that a change of the right size removes; 0 if it is not finite."""
+        rows = change.reshape(max(len(self.band.observations), self.band.room[0]), -1, 1)
+        if not np.all(np.isfinite(rows)):
+            return 0.0
+        white = self._rest(self.weights.whitened(self.band.stretches(rows))[:, 0])
+        size = float(white @ white)
+        return float(white @ self.residual) ** 2 / size if size > 0 else 0.0

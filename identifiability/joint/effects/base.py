@@ -142,6 +142,21 @@ class Effect(ABC):
         """
         return response
 
+    def typical(self, values: Mapping[str, float]) -> Mapping[str, tuple[float, float]]:
+        """Parameters that go with the joint's own size: a typical value, and by how much they vary.
+
+        Parameters
+        ----------
+        values : mapping of str to float
+            Values by full name.
+
+        Returns
+        -------
+        mapping of str to (float, float)
+            By full name a median, and the standard deviation of the logarithm about it.
+        """
+        return {}
+
     def objection(self, values: Mapping[str, float]) -> str:
         """Why fitted values cannot be those of a joint, beyond what bounds can say.
 
