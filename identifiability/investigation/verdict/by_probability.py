@@ -39,7 +39,8 @@ class Claim:
         is no known effect, or that cannot be excluded; effects are there, but no one of them is
         sure enough.
     effects : tuple of str
-        Of the most probable of the models that the claim speaks of.
+        Of the most probable of the models that the claim speaks of; beside something unknown, those
+        that are there whatever else is.
     sets : tuple of tuple of str
         For each effect that is there all that it could be, the most probable first; empty where
         none is claimed.
@@ -73,7 +74,7 @@ def claim_of(posterior: Probabilities, library: Mapping[str, type[Effect]], shar
     if any(row.effects == () for row in rows):
         return Claim("nothing", (), (), posterior.nothing)
     if any(row.effects is None for row in rows):
-        return Claim("unknown", posterior.unknown, (), posterior.none_of_these)
+        return Claim("unknown", _beside(posterior, share), (), posterior.none_of_these)
     sets = [row.effects or () for row in rows]
     slots = {effect: [effect] for effect in sets[0]}
     for other in sets[1:]:
@@ -90,6 +91,16 @@ def claim_of(posterior: Probabilities, library: Mapping[str, type[Effect]], shar
         return Claim("undecided", sets[0], (), posterior.of(sets[0]))
     named = tuple(_with_equals(names, library) for names in slots.values())
     return Claim("effects", tuple(slots), named, posterior.claim(named))
+
+
+def _beside(posterior: Probabilities, share: float) -> tuple[str, ...]:
+    """Effects that are there with a probability, whatever the unknown beside them is.
+
+    They may stand for a part of it, so they are no claim; but no model does without them.
+    """
+    there = [e for e in posterior.unknown if posterior.present(e) >= share]
+    subsets = (keys for n in range(len(there), 0, -1) for keys in combinations(there, n))
+    return next((keys for keys in subsets if tuple(sorted(keys)) in posterior.candidates), ())
 
 
 def _one_of(
@@ -158,6 +169,9 @@ def by_probability(
         return replace(
             verdict, kind="nothing_missing", sets=(), reasons=(unsure, *reasons), smallest_seen=seen
         )
+    if claim.kind == "unknown" and claim.effects:
+        there = {effect: posterior.present(effect) for effect in claim.effects}
+        reasons = (Reason("whatever else", claim.effects, there), *reasons)
     kind = verdict.kind
     if kind in ("explained", "one_of", "nothing_missing"):
         kind = _unknown(posterior.discrepancy)

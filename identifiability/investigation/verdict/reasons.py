@@ -26,6 +26,7 @@ ReasonKind = Literal[
     "probable",
     "not probable enough",
     "nearest form",
+    "whatever else",
 ]
 
 
@@ -60,6 +61,8 @@ class Reason:
           something ``unknown``, has these;
         - not probable enough: the same of what is claimed, ``remark``, and of the most probable
           sets by their keys joined by "+": no effect is probable enough to be named;
+        - whatever else: effects that are there beside something unknown, each with its probability
+          whatever else is;
         - nearest form: the description of no mechanism that something unknown is most like;
         - equations not exact: the named effects leave more than noise;
         - form of no sensor: the effects of the measurement do not fit it;

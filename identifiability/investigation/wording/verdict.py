@@ -57,6 +57,12 @@ def verdict_sentence(findings: Findings) -> str:
         return _described(findings)
     if verdict.kind == "nothing_missing":
         return "Nothing is missing that these data could show: the model leaves only noise."
+    beside = next((r for r in verdict.reasons if r.kind == "whatever else"), None)
+    if beside is not None:
+        there = listed([library[key].title for key in beside.effects])
+        return (
+            f"Beside {there}, something is missing that no effect known here is sure to be. {rest}"
+        )
     if unsure is not None:
         return f"Something is missing, and no effect known here is sure to be it. {rest}"
     if not found.missing and verdict.kind == "measurement":
@@ -194,6 +200,12 @@ def _reason(reason: Reason, findings: Findings) -> str:
         return _probable(reason)
     if reason.kind == "not probable enough":
         return _not_probable(reason)
+    if reason.kind == "whatever else":
+        each = [f"{plain(key)} {percent(p)}" for key, p in reason.numbers.items()]
+        return (
+            f"Whatever else is missing, these are there: {listed(each)}. They may stand for a part"
+            " of what is unknown: treat them as a clue."
+        )
     if reason.kind == "nearest form":
         nearest = DESCRIPTIONS[reason.effects[0]].title
         return f"In form it comes nearest to {nearest}, which names no mechanism."
