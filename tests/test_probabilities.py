@@ -24,26 +24,20 @@ from identifiability.inference.fitting import inside
 from identifiability.inference.starts import starting_values
 from identifiability.investigation.posterior.band import Band, band_of
 from identifiability.investigation.posterior.beginnings import Beginnings
+from identifiability.investigation.posterior.columns import without
 from identifiability.investigation.posterior.descriptions import descriptions_of
-from identifiability.investigation.posterior.discrepancy import (
-    _known,
-    _without,
-    discrepancy_of,
-    growing_noise,
-)
+from identifiability.investigation.posterior.discrepancy import _known, discrepancy_of
 from identifiability.investigation.posterior.evidence import (
     Evaluated,
     Prior,
     _log_volume,
     evaluator_of,
 )
+from identifiability.investigation.posterior.growing import growing_noise
 from identifiability.investigation.posterior.noises import Weighed
-from identifiability.investigation.posterior.probabilities import (
-    Probabilities,
-    SetProbability,
-    Weighing,
-)
+from identifiability.investigation.posterior.probabilities import Probabilities, SetProbability
 from identifiability.investigation.posterior.search import _Search
+from identifiability.investigation.posterior.weighing import Weighing
 from identifiability.investigation.session import Investigation
 from identifiability.investigation.verdict.by_probability import by_probability, claim_of
 from identifiability.investigation.verdict.judge import Verdict
@@ -460,7 +454,7 @@ def test_what_parameters_can_do_is_no_discrepancy():
             parts.append((theirs + own * random.standard_normal(theirs.size))[:, None])
         white = plain.weights.whitened(parts)
         taken = np.linalg.solve(plain.precision, plain.directions.T @ white)
-        sizes.append(np.std(np.concatenate(_without(parts, plain, taken))))
+        sizes.append(np.std(np.concatenate(without(parts, plain, taken))))
     assert sizes[0] < 1e-2
     assert sizes[1] == pytest.approx(0.5, rel=0.2)
 

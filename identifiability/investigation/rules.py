@@ -120,7 +120,7 @@ class Rules:
     solver_share: float = scheme.SHARE
     solver_most: float = scheme.MOST
     solver_least: float = scheme.LEAST
-    most_effects: int = 5
+    most_effects: int = 4
 
     @property
     def resolved(self) -> float:

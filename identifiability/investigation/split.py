@@ -22,6 +22,7 @@ from identifiability.measurement.splitting import hold_out
 from identifiability.measurement.trials import Trial
 
 _LONGEST, _WARM_UP = 4096, 1.0  # samples of a piece; seconds in which a piece forgets its start
+_MOST = 8_192  # samples of one trial or half a record that models are fitted to or judged on
 _SHORTEST, _RATIO = 64, 1.25  # of the lengths that imposed angles are padded to
 _ROUND = 64  # lengths are padded to a multiple, so that compiled programs serve many data sets
 
@@ -155,6 +156,14 @@ def gather(
     if not trials:
         raise InputError("found no trials to fit, expected at least one")
     parts = hold_out(prepare([*trials, *held_out], lowpass_hz=lowpass_hz), len(held_out))
+    every = (*parts.fitted, *parts.held_out)
+    longest = max(p.last - p.first for p in every)
+    parts = replace(
+        parts,
+        fitted=tuple(_liveliest(p) for p in parts.fitted),
+        held_out=tuple(_liveliest(p) for p in parts.held_out),
+    )
+    cut = f"; of each part its liveliest {_MOST} samples" if longest > _MOST else ""
     if not parts.held_out:
         raise InputError(
             f"found one trial, '{trials[0].name}', which moves in one half only; give several "
@@ -163,9 +172,20 @@ def gather(
     return Split(
         parts.fitted,
         parts.held_out,
-        parts.what_is_held_out,
+        parts.what_is_held_out + cut,
         Rules() if rules is None else rules,
     )
+
+
+def _liveliest(prepared: Prepared) -> Prepared:
+    """Of a long record as much as is fitted, where it moves most."""
+    first, last = prepared.first, prepared.last
+    if last - first <= _MOST:
+        return prepared
+    response = prepared.response[first:last]
+    energy = np.cumsum(np.square(response - response.mean()))
+    begin = first + int(np.argmax(energy[_MOST - 1 :] - np.append(0.0, energy[:-_MOST])))
+    return prepared.part(begin, begin + _MOST)
 
 
 def pieces(prepared: Prepared, noise: Noise) -> list[Observation]:

@@ -9,8 +9,9 @@ from identifiability.errors import InputError
 from identifiability.inference.starts import refined_values, starting_values
 from identifiability.investigation.fits.candidate import Candidate
 from identifiability.investigation.posterior.evidence import Evaluated, Evaluator
-from identifiability.investigation.posterior.probabilities import Job, Keys, Probabilities, Weighing
+from identifiability.investigation.posterior.probabilities import Probabilities
 from identifiability.investigation.posterior.signatures import strongest
+from identifiability.investigation.posterior.weighing import Job, Keys, Weighing
 from identifiability.joint.effects import Effect
 from identifiability.progress import Progress, silent
 
@@ -112,7 +113,8 @@ class _Search:
         seen = strongest(self.weighing.evaluator, current, more, alone, most)
         jobs = [self._enlarged(current, more[key](), alone.get(key, {})) for key in seen]
         self.add(f"what may be added to {' + '.join(['K, B, I', *keys])}", jobs)
-        for near in self._ranked(len(keys) + 1)[:_TAKEN_UP]:
+        ranked = self._ranked(len(keys) + 1)[:_TAKEN_UP]
+        for near in [keys for keys in ranked if not self.weighing.is_far(keys, ranked[0])]:
             self.weighing.take_up(near)
         self._refine(len(keys) + 1)
 

@@ -1,0 +1,389 @@
+"""Candidates are weighed as they come, and put together as probabilities.
+
+How many effects there are is as probable for every number from none to the most that are tried;
+then every set of so many is, the unknown being one of the effects (Scott & Berger 2010, Ann Stat
+38:2587-2619): trying more effects makes a false name no more likely. A set with a discrepancy of no
+more than a tenth of what its effects explain, beyond what K, B and I do, is still that set, whose
+equations are not exact; with more it is "none of these".
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from math import comb, log
+
+import numpy as np
+
+from identifiability.investigation.fits.candidate import unfitted
+from identifiability.investigation.posterior.descriptions import descriptions_of
+from identifiability.investigation.posterior.discrepancy import (
+    Discrepancy,
+    Discrepant,
+    discrepancy_of,
+)
+from identifiability.investigation.posterior.evidence import Evaluated, Evaluator
+from identifiability.investigation.posterior.noises import Weights
+from identifiability.investigation.posterior.probabilities import Probabilities, SetProbability
+from identifiability.joint.effects import DESCRIPTIONS
+from identifiability.joint.model import Model
+from identifiability.joint.programs import THREADS
+from identifiability.progress import Progress, silent
+
+Keys = tuple[str, ...]
+
+# Share of the response that is nothing unknown: instruments are linear to so much, and motion
+# between samples is known to it.
+_TRIFLE = 3e-3
+_FORM = 0.1  # share of what its effects do, that a model's equations may be wrong by
+_CONTENDS = 12.0  # nats that a set may be behind, for a discrepancy to be put beside it
+_MOST_BESIDE, _BEST_OF_SIZE = 6, 2
+_LOST = 60.0  # nats behind the best from which a set is not fitted any further
+_FAR = 0.05  # share of what the best of its size gained, that a set may lack
+_SURE = 3.0  # nats by which values that no joint has must be better, to count
+_DRIFT = "sensor_drift"  # the effect that a discrepancy of the kind "drift" is
+_SAME = 0.5  # nats by which two discrepancies of one size may differ
+
+
+@dataclass(frozen=True, eq=False)
+class Job:
+    """A model to be weighed.
+
+    Attributes
+    ----------
+    model : Model
+    starts : sequence of mapping
+        Values of all its parameters by name.
+    refined : sequence of str
+        Keys of the effects whose refining parameters are free.
+    noise : Weights or None
+        Noise to start from: that of the model that this one is more than.
+    """
+
+    model: Model
+    starts: Sequence[Mapping[str, float]]
+    refined: Sequence[str] = ()
+    noise: Weights | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class _Forms:
+    """Sets whose equations are not exact, or beside which there is something unknown.
+
+    Attributes
+    ----------
+    inexact : dict of tuple of str to float
+        Log evidence [nats] of a set whose equations are wrong by no more than they may be.
+    unknown : dict of tuple of str to float
+        Log evidence and log prior of a set and something unknown.
+    described : dict of tuple of str to str
+        Of these, those in which a description of no mechanism is what is unknown, and its key.
+    beside : dict of tuple of str to Discrepant
+        Each set that was tried, with any discrepancy.
+    """
+
+    inexact: dict[Keys, float] = field(default_factory=dict)
+    unknown: dict[Keys, float] = field(default_factory=dict)
+    described: dict[Keys, str] = field(default_factory=dict)
+    beside: dict[Keys, Discrepant] = field(default_factory=dict)
+
+
+@dataclass(eq=False)
+class Weighing:
+    """Evaluates candidates as they come, and puts them together.
+
+    Attributes
+    ----------
+    evaluator : Evaluator
+    library : collection of str
+        Keys of the effects that could be tried.
+    base : tuple of str
+        Effects of the model that the search starts from: they are no findings.
+    progress : callable
+        Told ``(what, done, total)``.
+    found : dict of tuple of str to Evaluated
+        The best form of each set.
+    taken_up : dict of tuple of str to Evaluated
+        Those that were evaluated to the end.
+    described : dict of tuple of str to dict
+        By the known effects beside it, each description that was evaluated, by its key.
+    failures : dict of str to str
+    """
+
+    evaluator: Evaluator
+    library: Collection[str]
+    base: Keys = ()
+    progress: Progress = silent
+    found: dict[Keys, Evaluated] = field(default_factory=dict)
+    taken_up: dict[Keys, Evaluated] = field(default_factory=dict)
+    described: dict[Keys, dict[str, Evaluated]] = field(default_factory=dict)
+    failures: dict[str, str] = field(default_factory=dict)
+
+    def weigh(self, jobs: Sequence[Job]) -> Iterator[None]:
+        """Evaluate models, two at a time; of the forms of one set the best is kept.
+
+        Yields after each of them.
+        """
+        # What is not fitted any further depends on what was known before, not on who is first.
+        best = max((f.log_evidence for f in self.found.values()), default=-np.inf)
+
+        def evaluate(job: Job) -> Evaluated | str:
+            try:
+                return self.evaluator.evaluate(
+                    job.model,
+                    job.starts,
+                    refined=job.refined,
+                    noise=job.noise,
+                    least=best - _LOST,
+                    resolved=False,
+                )
+            except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
+                return str(error)
+
+        with ThreadPoolExecutor(THREADS) as pool:
+            for job, found in zip(jobs, pool.map(evaluate, jobs), strict=True):
+                self._keep(job.model, found)
+                yield
+
+    def _keep(self, model: Model, found: Evaluated | str) -> None:
+        keys = tuple(sorted(k for k in model.effect_keys if k not in self.base))
+        if isinstance(found, str):
+            self.failures["+".join(keys)] = found
+            return
+        # Where an imposed angle moves the joint, parameters may lie anywhere on a ridge.
+        if not self.evaluator.band.angle_imposed and (why := model.objection(found.values)):
+            self.failures["+".join(keys)] = why
+            return
+        known = self.found.get(keys)
+        if known is None or found.log_evidence > known.log_evidence:
+            self.found[keys] = found
+
+    def take_up(self, keys: Keys) -> None:
+        """Evaluate a set further, from where its fit ended, in steps that are short enough."""
+        known = self.found[keys]
+        if self.taken_up.get(keys) is known:
+            return
+        self.progress(f"weighing {' + '.join(['K, B, I', *keys])} further", 0, 1)
+        try:
+            found = self.evaluator.evaluate(
+                known.model,
+                [known.values],
+                refined=known.refined,
+                scheme=known.scheme,
+                noise=known.weights,
+            )
+        except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
+            self.failures["+".join(keys)] = str(error)
+        else:
+            # In steps that were too long a model may have seemed better than it is.
+            if found.scheme != known.scheme or found.log_evidence > known.log_evidence:
+                self.found[keys] = found
+        self.taken_up[keys] = self.found[keys]
+
+    def settle(self) -> None:
+        """Take up the sets that come near, until none is left that was not."""
+        while True:
+            ranked = sorted(self.found, key=lambda keys: -self.score(keys))
+            least = self.score(ranked[0]) - _CONTENDS
+            near = [keys for keys in ranked[:_MOST_BESIDE] if self.score(keys) > least]
+            left = [k for k in near if self.taken_up.get(k) is not self.found[k]]
+            if not left:
+                return
+            for keys in left:
+                self.take_up(keys)
+
+    def describe(self) -> None:
+        """Evaluate descriptions in the place of effects of the best set of every size."""
+        ranked = sorted(self.found, key=lambda keys: -self.score(keys))
+        for keys in {len(keys): keys for keys in reversed(ranked)}.values():
+            for one in descriptions_of(self.found[keys], self.base, self.library):
+                known = self.described.setdefault(one.rest, {})
+                if one.key in known or one.rest not in self.found:
+                    continue
+                self.progress(f"weighing {' + '.join(['K, B, I', *one.rest, one.key])}", 0, 1)
+                try:
+                    known[one.key] = self.evaluator.evaluate(
+                        one.model,
+                        one.starts,
+                        refined=one.refined,
+                        noise=self.found[keys].weights,
+                    )
+                except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
+                    self.failures["+".join((*one.rest, one.key))] = str(error)
+
+    def _near(self) -> list[Keys]:
+        """Sets that come near the best, and the best of every size."""
+        ranked = sorted(self.found, key=lambda keys: -self.score(keys))
+        least = self.score(ranked[0]) - _CONTENDS
+        near = [keys for keys in ranked if self.score(keys) > least][:_MOST_BESIDE]
+        # Inexact equations may make up for an effect more.
+        for n in sorted({len(keys) for keys in ranked}):
+            of_size = [keys for keys in ranked if len(keys) == n][:_BEST_OF_SIZE]
+            near += [keys for keys in of_size if not self.is_far(keys, of_size[0])]
+        return list(dict.fromkeys(near))
+
+    def is_far(self, keys: Keys, best: Keys) -> bool:
+        """Whether a set leaves so much more than the best of its size that it cannot pass it."""
+        top = self.found[best].log_evidence
+        gained = top - self.found[()].log_evidence
+        return top - self.found[keys].log_evidence > max(_LOST, _FAR * gained)
+
+    def log_prior(self, n_effects: int) -> float:
+        """Of one set of so many effects, the unknown counted as one of the library."""
+        every = len(self.library) + 1
+        return -log(comb(every, min(n_effects, every)))
+
+    def score(self, keys: Keys) -> float:
+        """Log evidence and log prior [nats] of a set whose equations are exact."""
+        return self.found[keys].log_evidence + self.log_prior(len(keys))
+
+    def posterior(self) -> Probabilities:
+        """Probabilities of all that was weighed."""
+        ranked = sorted(self.found, key=lambda keys: -self.score(keys))
+        forms = self._forms(ranked)
+        rows = self._rows(self._named(forms.inexact), forms)
+        named = next(row.effects for row in rows if row.effects is not None)
+        unknown = max(forms.unknown, key=lambda keys: forms.unknown[keys], default=())
+        shown = unknown if rows[0].effects is None else named
+        return Probabilities(
+            rows,
+            shown,
+            self.found[shown].values,
+            self.found[shown].weights.estimate.rms,
+            self.evaluator.band.scale,
+            forms.beside.get(shown),
+            unknown,
+            self._beside_unknown(rows, forms),
+            forms.described.get(unknown),
+            {k: unfitted(f.model, [f.values], f.refined, f.scheme) for k, f in self.found.items()},
+            (self.evaluator.band.n_samples, self.evaluator.band.n_recorded),
+            dict(self.failures),
+        )
+
+    def _forms(self, ranked: Sequence[Keys]) -> _Forms:
+        """The sets that come near, with their equations inexact, and with something unknown."""
+        discrepancies = discrepancy_of(self.evaluator, self.found[ranked[0]])
+        least, forms = self.score(ranked[0]) - _CONTENDS, _Forms()
+        near = self._near()
+        for i, keys in enumerate(near):
+            self.progress("weighing something unknown", i, len(near))
+            found, besides = self.found[keys], self._besides(keys)
+            if found.beyond > _SURE and self.score(keys) > least:
+                # The same effects with values that no joint has are none of these. By how much more
+                # probable is not known far from what was fitted.
+                forms.unknown[keys] = found.log_evidence + found.beyond + besides
+            one = self._beside(discrepancies, keys)
+            if one is None:
+                continue
+            free, form = one
+            forms.beside[keys] = free
+            if free.kind == "none":
+                continue  # a discrepancy of no size is none
+            # One that the equations' error explains is not something unknown besides.
+            if self._drifts(keys, free):
+                drifting = tuple(sorted((*keys, _DRIFT)))
+                known = forms.inexact.get(drifting, -np.inf)
+                forms.inexact[drifting] = max(free.log_evidence, known)
+            elif form.log_evidence < free.log_evidence - _SAME:
+                known = forms.unknown.get(keys, -np.inf)
+                forms.unknown[keys] = max(free.log_evidence + besides, known)
+            known = forms.inexact.get(keys, -np.inf)
+            forms.inexact[keys] = max(form.log_evidence, known)
+        for keys, by_key in self.described.items():
+            for key, found in by_key.items():
+                value = found.log_evidence + self._besides(keys)
+                if value > forms.unknown.get(keys, -np.inf):
+                    forms.unknown[keys], forms.described[keys] = value, key
+        return forms
+
+    def _besides(self, keys: Keys) -> float:
+        """Log prior [nats] of a set and one form of something unknown, of all that there are."""
+        return self.log_prior(len(keys) + 1) - log(1 + len(DESCRIPTIONS))
+
+    def _drifts(self, keys: Keys, free: Discrepant) -> bool:
+        """Whether a discrepancy is a drift of the recorder, which is known, in another form."""
+        if _DRIFT in keys or tuple(sorted((*keys, _DRIFT))) not in self.found:
+            return False
+        others = np.sqrt(sum(size**2 for kind, size in free.sizes.items() if kind != "drift"))
+        return free.kind == "drift" and others <= self._tolerated(keys)
+
+    def _tolerated(self, keys: Keys) -> float:
+        """Discrepancy, over the response, that inexact equations of a set may leave."""
+        explained = self._explained(self.found[keys]) / self.evaluator.band.scale
+        return max(_FORM * explained, _TRIFLE)
+
+    def _rows(self, named: Mapping[Keys, float], forms: _Forms) -> tuple[SetProbability, ...]:
+        """Probabilities from their logarithms, which lack a constant."""
+        top = max([*named.values(), *forms.unknown.values()])
+        weights = {keys: np.exp(value - top) for keys, value in named.items()}
+        of_unknown = sum(np.exp(value - top) for value in forms.unknown.values())
+        total = sum(weights.values()) + of_unknown
+        rows = [
+            SetProbability(keys, float(w / total), named[keys] - self.log_prior(len(keys)))
+            for keys, w in weights.items()
+        ]
+        most = max((d.log_evidence for d in forms.beside.values()), default=-np.inf)
+        rows.append(SetProbability(None, float(of_unknown / total), most))
+        return tuple(sorted(rows, key=lambda row: -row.probability))
+
+    @staticmethod
+    def _beside_unknown(rows: Sequence[SetProbability], forms: _Forms) -> dict[Keys, float]:
+        """Probability of "none of these" by the known effects beside which it is."""
+        whole = next(row.probability for row in rows if row.effects is None)
+        top = max(forms.unknown.values(), default=0.0)
+        weights = {keys: np.exp(value - top) for keys, value in forms.unknown.items()}
+        total = sum(weights.values())
+        return {keys: float(whole * w / total) for keys, w in weights.items()}
+
+    def _named(self, inexact: Mapping[Keys, float]) -> dict[Keys, float]:
+        """Log of what is proportional to the probability of each set, its equations exact or not.
+
+        Equations that are wrong by so little as `_FORM` may be mended by an effect that is not
+        there: then a set and the same with that effect are both what the data would look like.
+        """
+        every = len(self.library) + 1
+        found: dict[Keys, float] = {}
+        for keys in sorted(self.found, key=len, reverse=True):
+            exact = self.found[keys].log_evidence
+            mended = [inexact[keys]] if keys in inexact else []
+            for more, value in found.items():
+                if len(more) == len(keys) + 1 and set(keys) < set(more) and self._mends(keys, more):
+                    mended.append(value - log(every))
+            # As probable as that the equations are exact.
+            found[keys] = float(np.logaddexp.reduce([exact, *mended])) - log(2) * bool(mended)
+        return {keys: value + self.log_prior(len(keys)) for keys, value in found.items()}
+
+    def _mends(self, keys: Keys, more: Keys) -> bool:
+        """Whether one effect more does no more than the error of a set's equations may be."""
+        fewer, richer = self.found[keys], self.found[more]
+        return _moved(fewer, richer) <= _FORM * self._explained(fewer)
+
+    def _explained(self, found: Evaluated) -> float:
+        """What effects explain: root mean square by which the prediction moves because of them.
+
+        From that of K, B and I alone, so that what K, B and I do as well, and effects that cancel
+        each other, do not count.
+        """
+        return _moved(self.found[()], found)
+
+    def _beside(
+        self, discrepancies: Discrepancy, keys: Keys
+    ) -> tuple[Discrepant, Discrepant] | None:
+        """A set with any discrepancy, and with one that its equations' error explains."""
+        found = self.found[keys]
+        try:
+            free = discrepancies.beside(found)
+            most = self._tolerated(keys)
+            if free.size <= most:
+                return free, free
+            return free, discrepancies.beside(found, most * self.evaluator.band.scale)
+        except (ValueError, np.linalg.LinAlgError) as error:
+            self.failures[f"{'+'.join(keys)} and a discrepancy"] = str(error)
+            return None
+
+
+def _moved(one: Evaluated, other: Evaluated) -> float:
+    """Root mean square [rad or Nm] of the difference of two models' predictions."""
+    moved = [a[:, 0] - b[:, 0] for a, b in zip(one.raw, other.raw, strict=True)]
+    return float(np.sqrt(np.mean(np.concatenate(moved) ** 2)))
