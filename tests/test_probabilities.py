@@ -758,10 +758,9 @@ def test_a_verdict_names_no_more_than_is_probable(rows, kind, said):
     assert _reason(verdict.reasons[0], None).startswith(said)
 
 
-@pytest.mark.parametrize("why", ["only a part", "description"])
-def test_a_probable_effect_that_leaves_much_is_not_named(why):
+def test_a_probable_effect_that_leaves_much_is_not_named():
     found = probabilities((("gravity",), 1.0))
-    before = Verdict("unknown_static", (), (Reason(why),))
+    before = Verdict("unknown_static", (), (Reason("only a part"),))
     claim = claim_of(found, EFFECTS, 0.95)
     assert by_probability(before, claim, found, (), EFFECTS) is before
 

@@ -36,8 +36,8 @@ def weigh(
     """Weigh the sets of effects that may be missing.
 
     All single effects are, the most probable ones refined too. The most probable set is enlarged by
-    every effect whose signature is in what it leaves, for as long as that makes it more probable;
-    so is a single effect that comes near.
+    every effect whose signature is in what it leaves, for as long as that makes it more probable
+    and does more than mend equations; so is a single effect that comes near.
     What was added last may be what was missing all along, and what was found before it a poor
     picture of it: of a pair that leaves much less, both are enlarged.
 
@@ -66,7 +66,7 @@ def weigh(
     search.enlarge(())
     for size in range(2, most + 1):
         before = search.best(size - 1)
-        if before is None or not search.improves(before):
+        if before is None or not search.improves(before) or search.only_mends(before):
             break
         for keys in search.contenders(size - 1):
             search.enlarge(keys)
@@ -189,6 +189,10 @@ class _Search:
         """Whether a set is more probable than the best with one effect less."""
         smaller = self._ranked(len(keys) - 1)[0]
         return self.weighing.score(keys) > self.weighing.score(smaller)
+
+    def only_mends(self, keys: Keys) -> bool:
+        """Whether a set does no more than mend the equations of the best with one effect less."""
+        return len(keys) > 1 and self.weighing.mends(self._ranked(len(keys) - 1)[0], keys)
 
     def was_poor(self, keys: Keys) -> bool:
         """Whether a set leaves so much less than the best with one effect less.

@@ -348,13 +348,13 @@ class Weighing:
             exact = self.found[keys].log_evidence
             mended = [inexact[keys]] if keys in inexact else []
             for more, value in found.items():
-                if len(more) == len(keys) + 1 and set(keys) < set(more) and self._mends(keys, more):
+                if len(more) == len(keys) + 1 and set(keys) < set(more) and self.mends(keys, more):
                     mended.append(value - log(every))
             # As probable as that the equations are exact.
             found[keys] = float(np.logaddexp.reduce([exact, *mended])) - log(2) * bool(mended)
         return {keys: value + self.log_prior(len(keys)) for keys, value in found.items()}
 
-    def _mends(self, keys: Keys, more: Keys) -> bool:
+    def mends(self, keys: Keys, more: Keys) -> bool:
         """Whether one effect more does no more than the error of a set's equations may be."""
         fewer, richer = self.found[keys], self.found[more]
         return _moved(fewer, richer) <= _FORM * self._explained(fewer)

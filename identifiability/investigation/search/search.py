@@ -141,21 +141,30 @@ class _Search:
             if gate.at_floor(current):
                 ended = "at the floor"
                 break
-        return self._found(self._simplify(self._prune(current)), rankings, ended)
+        final = self._simplify(self._prune(current))
+        exact = gate.leaves_noise(final)
+        return self._found(final, rankings, ended, self.rivals.descriptions(final, exact))
 
     def of(self, final: Candidate, sets: Sequence[Sequence[str]]) -> Found:
         """What there is to know of a final model that is given."""
-        ranking = self.ranker.rank(self.baseline)
+        ranking = self.ranker.survey(self.baseline)
         ladder = self._ladder(final)
         chosen = ladder[0][0] if ladder else ""
-        found = self._found(final, [replace(ranking, chosen=chosen)], "by probability")
+        # Descriptions were weighed with the effects.
+        found = self._found(final, [replace(ranking, chosen=chosen)], "by probability", ())
         missing = []
         for one in found.missing:
             could_be = next(tuple(names) for names in sets if one.key in names)
             missing.append(replace(one, could_be=could_be, near=()))
         return replace(found, missing=tuple(missing))
 
-    def _found(self, final: Candidate, rankings: Sequence[Ranking], ended: str) -> Found:
+    def _found(
+        self,
+        final: Candidate,
+        rankings: Sequence[Ranking],
+        ended: str,
+        descriptions: tuple[Ranked, ...],
+    ) -> Found:
         exact = self.ranker.gate.leaves_noise(final)
         return Found(
             self.baseline,
@@ -163,7 +172,7 @@ class _Search:
             final,
             self._missing(final, rankings, exact),
             removed_share(self.ranker.bench.split, self.baseline, final),
-            self.rivals.descriptions(final, exact),
+            descriptions,
             exact,
             len(self.ranker.fitter.known),
             ended,

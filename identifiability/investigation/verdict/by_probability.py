@@ -147,9 +147,9 @@ def by_probability(
     }
     names = tuple(dict.fromkeys(name for names in claim.sets for name in names))
     reasons = verdict.reasons
-    # What was weighed does not hold every description of no mechanism; and effects that leave much
-    # of the misfit on trials that were not fitted may stand for something else.
-    if claim.kind == "effects" and {"description", "only a part"} & {r.kind for r in reasons}:
+    # Effects that leave much of the misfit on trials that were not fitted may stand for something
+    # else.
+    if claim.kind == "effects" and any(r.kind == "only a part" for r in reasons):
         return verdict
     reasons = tuple(r for r in reasons if r.kind != "only a part")
     if claim.kind == "effects":
