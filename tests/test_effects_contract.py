@@ -41,6 +41,7 @@ STABLE = {
     "cubic_stiffness.centre": (-0.01, 0.01),
     "gravity.moment": (0.0, 100.0),
     "gravity.posture": (-1.5, 1.5),
+    "loose_coupling.inertia": (0.0, 1.0),
     "quadratic_stiffness.coefficient": (-100.0, 200.0),
     "sensor_delay.delay": (0.0, 0.05),  # a negative one reads beyond the end of a record
     "sensor_drift.rate": (-0.1, 0.1),
