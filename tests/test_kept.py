@@ -11,9 +11,11 @@ from identifiability.inference import fitting
 from identifiability.investigation.fits import bench as workbench
 from identifiability.investigation.fits import kept
 from identifiability.investigation.fits.bench import Workbench
-from identifiability.investigation.fits.kept import OnDisk
+from identifiability.investigation.fits.kept import InMemory, OnDisk
 from identifiability.investigation.investigate import investigate
+from identifiability.investigation.posterior.evidence import Evaluator
 from identifiability.investigation.record import investigation_record
+from identifiability.investigation.session import Investigation
 from identifiability.investigation.split import gather
 from identifiability.joint.effects import EFFECTS, CubicStiffness, SeriesTendon
 from identifiability.joint.model import KBI
@@ -146,6 +148,47 @@ def test_a_fit_that_failed_is_tried_again(tmp_path, split, monkeypatch):
     assert not bench.fit(KBI(), [JOINT]).failure
 
 
+def test_a_weighing_that_was_stopped_goes_on(tmp_path, monkeypatch):
+    library = {key: EFFECTS[key] for key in ("series_tendon", "coulomb_friction")}
+    hidden = trials(MODEL, VALUES), trials(MODEL, VALUES, seed=9, conditions=HELD)
+    evaluated, evaluate = [], Evaluator.evaluate
+
+    def counted(self, model, *args, **options):
+        evaluated.append(model)
+        return evaluate(self, model, *args, **options)
+
+    monkeypatch.setattr(Evaluator, "evaluate", counted)
+
+    def weigh(kept, **options):
+        del evaluated[:]
+        return Investigation(*hidden, library=library, kept=kept, **options).weigh()
+
+    whole, n_whole = weigh(InMemory()), len(evaluated)
+
+    def stop(what, done, total):
+        if "something unknown" in what:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        weigh(OnDisk(tmp_path), progress=stop)
+    assert len(evaluated) == n_whole
+    resumed = weigh(OnDisk(tmp_path))
+    assert not evaluated
+    # Not nearly: bit by bit.
+    assert [(r.effects, r.probability, r.log_evidence) for r in resumed.rows] == [
+        (r.effects, r.probability, r.log_evidence) for r in whole.rows
+    ]
+    # What was kept of other trials is not taken.
+    hidden = hidden[::-1]
+
+    def stop(what, done, total):
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        weigh(OnDisk(tmp_path), progress=stop)
+    assert evaluated
+
+
 def test_an_investigation_that_was_stopped_goes_on(tmp_path, fits):
     library = {
         key: EFFECTS[key] for key in ("series_tendon", "cubic_stiffness", "quadratic_stiffness")
@@ -165,7 +208,7 @@ def test_an_investigation_that_was_stopped_goes_on(tmp_path, fits):
     with pytest.raises(KeyboardInterrupt):
         study(kept=OnDisk(tmp_path), progress=stop)
     n_stopped = len(fits) - n_whole
-    n_kept = len(list(tmp_path.iterdir()))
+    n_kept = len(OnDisk(tmp_path).files)
     assert 3 <= n_kept <= n_stopped <= n_whole
     resumed = study(kept=OnDisk(tmp_path))
     assert len(fits) - n_whole - n_stopped == n_whole - n_kept

@@ -521,6 +521,18 @@ def test_of_a_long_record_parts_all_over_it_are_compared(driven):
     assert np.sum(np.concatenate(constants) ** 2) in (0.0, pytest.approx(1.0))
 
 
+def test_no_resonance_is_sought_beyond_what_is_compared():
+    """Near the rate of the samples one made up for what lies between them, and was named."""
+    trials = servo_trials(Joint(ANATOMY), torque_sd=0.05, n=3, rate=100)
+    model = KBI() + EFFECTS["second_mass"]()
+    for band in (band_of(trials, ()), replace(band_of(trials, ()), every=2)):
+        problem = band.problem(model)
+        upper = dict(zip(problem.names, problem.upper, strict=True))["second_mass.frequency"]
+        assert upper == pytest.approx(0.5 / band.interval)
+        asked = replace(band, bounds={"second_mass.frequency": (1.0, 9.0)}).problem(model)
+        assert asked.upper[list(asked.names).index("second_mass.frequency")] == 9.0
+
+
 def test_trials_of_several_rates_are_brought_to_the_lowest():
     slow, fast = (servo_trials(Joint(ANATOMY), n=1, rate=r)[0] for r in (250, 500))
     band = band_of([slow, fast], ())

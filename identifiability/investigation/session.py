@@ -13,7 +13,7 @@ from identifiability.investigation.fits.baseline import (
 )
 from identifiability.investigation.fits.bench import Workbench
 from identifiability.investigation.fits.candidate import Candidate
-from identifiability.investigation.fits.kept import InMemory, Kept
+from identifiability.investigation.fits.kept import InMemory, Kept, OnDisk
 from identifiability.investigation.fits.widths import parameter_widths
 from identifiability.investigation.next_experiment import (
     Limits,
@@ -23,6 +23,7 @@ from identifiability.investigation.next_experiment import (
 )
 from identifiability.investigation.posterior.band import band_of
 from identifiability.investigation.posterior.evidence import evaluator_of
+from identifiability.investigation.posterior.kept import Evaluations
 from identifiability.investigation.posterior.probabilities import Probabilities
 from identifiability.investigation.posterior.search import weigh
 from identifiability.investigation.rules import Rules
@@ -40,6 +41,7 @@ from identifiability.joint.model import KBI, Model
 from identifiability.measurement.filtering import Lowpass
 from identifiability.measurement.trials import Trial
 from identifiability.progress import Progress, silent
+from identifiability.provenance import fingerprint
 
 _MOVING = (
     "the joint already moves before the first onset, as K, B and I say it should: the noise is not"
@@ -202,7 +204,10 @@ class Investigation:
         )
         evaluator = evaluator_of(band, self.baseline.values, seed=seed)
         number = self.bench.rules.most_effects if most is None else most
-        return weigh(evaluator, self.baseline, self.library, number, self.progress)
+        folder = self.bench.kept.folder if isinstance(self.bench.kept, OnDisk) else None
+        identity = fingerprint(self.bench.identity, self.baseline.values, lowpass_hz, seed)
+        kept = Evaluations(evaluator, folder, identity)
+        return weigh(evaluator, self.baseline, self.library, number, self.progress, kept)
 
     def widths(self, candidate: Candidate, *, seed: int = 1) -> Widths:
         """Every width of a fitted model's parameters, as of K, B and I."""

@@ -50,7 +50,8 @@ class Workbench:
     kept: Kept = field(default_factory=InMemory)
 
     @cached_property
-    def _identity(self) -> str:
+    def identity(self) -> str:
+        """Hash of the trials, the conventions and the bounds."""
         return fingerprint(self.split.fitted, self.split.held_out, self.split.rules, self.bounds)
 
     @property
@@ -166,7 +167,7 @@ class Workbench:
         thorough : bool
             Whether to carry the fit to its end or to take a glance from every start.
         """
-        asked = question(self._identity, model, starts, refined, thorough)
+        asked = question(self.identity, model, starts, refined, thorough)
         found = self.kept.find(asked, model)
         if found is None:
             found = self._fit(model, starts, refined, thorough)

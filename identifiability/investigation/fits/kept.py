@@ -98,10 +98,10 @@ def question(
     model, starts, refined, thorough
         See `Workbench.fit`.
     """
-    return fingerprint(identity, repr(model), _own_code(model), starts, refined, thorough)
+    return fingerprint(identity, repr(model), own_code(model), starts, refined, thorough)
 
 
-def _own_code(model: Model) -> list[str]:
+def own_code(model: Model) -> list[str]:
     """Compiled methods of effects that are not the package's, whose sources `_code` has not."""
     return [
         f"{effect.key}.{name} {hashlib.sha256(marshal.dumps(method.__code__)).hexdigest()}"

@@ -187,7 +187,14 @@ class Band:
     ) -> Problem:
         """Problem of fitting a model to the trials, with probes after them."""
         names = model.parameter_names
-        bounds = {n: b for n, b in self.bounds.items() if n in names}
+        # A resonance beyond them cannot be seen: one there mends what lies between the samples.
+        seen = 0.5 / self.interval
+        bounds = {
+            n: (p.lower, seen)
+            for n, p in model.parameters.items()
+            if p.unit == "Hz" and p.lower < seen < p.upper
+        }
+        bounds |= {n: b for n, b in self.bounds.items() if n in names}
         return Problem(
             model,
             [*self.observations, *probes],

@@ -125,6 +125,8 @@ class Evaluated:
         By stretch, what probes of noise in an imposed angle add to `raw`; empty without.
     beyond : float
         How much more probable [nats] values beyond the bounds of its effects would make it.
+    sought : sequence of Contender
+        Orders among which its noise was sought.
     """
 
     model: Model
@@ -141,6 +143,7 @@ class Evaluated:
     raw: list[np.ndarray]
     probes: Sequence[np.ndarray] = ()
     beyond: float = 0.0
+    sought: Sequence[Contender] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -269,8 +272,8 @@ class Evaluator:
             x = explore(weighed, points, evaluations=_EVALUATIONS).values
             points = x[None]
             weights = self.reference.weights(raw_residuals(problem, self.band, x)[0], tried)
+            found = self.evaluated(problem, x, weights, refined, tried)
             tried = weights.contenders[:1]
-            found = self.evaluated(problem, x, weights, refined)
             if best is None or found.log_evidence > best.log_evidence:
                 best = found
             if found.log_evidence < least:
@@ -287,7 +290,12 @@ class Evaluator:
         return (*self.shortlist, *(c for c in plain if c.order not in known))
 
     def evaluated(
-        self, problem: Problem, x: np.ndarray, weights: Weights, refined: Sequence[str] = ()
+        self,
+        problem: Problem,
+        x: np.ndarray,
+        weights: Weights,
+        refined: Sequence[str] = (),
+        sought: Sequence[Contender] = (),
     ) -> Evaluated:
         """Evidence of a model at its best parameters, with given noise."""
         weighed = Weighed(problem, self.band, weights)
@@ -334,6 +342,7 @@ class Evaluator:
             raw,
             probes or (),
             max([0.0, *(gain for i, gain in gains.items() if self._limits(problem, i))]),
+            tuple(sought),
         )
 
     @staticmethod

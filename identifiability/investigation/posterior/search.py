@@ -9,6 +9,7 @@ from identifiability.errors import InputError
 from identifiability.inference.starts import refined_values, starting_values
 from identifiability.investigation.fits.candidate import Candidate
 from identifiability.investigation.posterior.evidence import Evaluated, Evaluator
+from identifiability.investigation.posterior.kept import Evaluations
 from identifiability.investigation.posterior.probabilities import Probabilities
 from identifiability.investigation.posterior.signatures import strongest
 from identifiability.investigation.posterior.weighing import Job, Keys, Weighing
@@ -32,6 +33,7 @@ def weigh(
     library: Mapping[str, type[Effect]],
     most: int,
     progress: Progress = silent,
+    kept: Evaluations | None = None,
 ) -> Probabilities:
     """Weigh the sets of effects that may be missing.
 
@@ -52,13 +54,15 @@ def weigh(
         Most effects to add.
     progress : callable
         Told ``(what, done, total)``.
+    kept : Evaluations, optional
+        Where models that were weighed before are taken from.
 
     Raises
     ------
     InputError
         Where the model to start from cannot be evaluated.
     """
-    weighing = Weighing(evaluator, library, baseline.keys, progress)
+    weighing = Weighing(evaluator, library, baseline.keys, progress, kept)
     search = _Search(weighing, library, progress)
     search.add("K, B and I", [Job(baseline.model, [baseline.values], baseline.refined)])
     if () not in weighing.found:

@@ -24,6 +24,7 @@ from identifiability.investigation.posterior.discrepancy import (
     discrepancy_of,
 )
 from identifiability.investigation.posterior.evidence import Evaluated, Evaluator
+from identifiability.investigation.posterior.kept import Evaluations
 from identifiability.investigation.posterior.noises import Weights
 from identifiability.investigation.posterior.probabilities import Probabilities, SetProbability
 from identifiability.joint.effects import DESCRIPTIONS
@@ -102,6 +103,8 @@ class Weighing:
         Effects of the model that the search starts from: they are no findings.
     progress : callable
         Told ``(what, done, total)``.
+    kept : Evaluations
+        What evaluates models, each once; the evaluator itself by default.
     found : dict of tuple of str to Evaluated
         The best form of each set.
     taken_up : dict of tuple of str to Evaluated
@@ -115,10 +118,15 @@ class Weighing:
     library: Collection[str]
     base: Keys = ()
     progress: Progress = silent
+    kept: Evaluations | None = None
     found: dict[Keys, Evaluated] = field(default_factory=dict)
     taken_up: dict[Keys, Evaluated] = field(default_factory=dict)
     described: dict[Keys, dict[str, Evaluated]] = field(default_factory=dict)
     failures: dict[str, str] = field(default_factory=dict)
+
+    @property
+    def _evaluations(self) -> Evaluations:
+        return self.kept or Evaluations(self.evaluator)
 
     def weigh(self, jobs: Sequence[Job]) -> Iterator[None]:
         """Evaluate models, two at a time; of the forms of one set the best is kept.
@@ -130,7 +138,7 @@ class Weighing:
 
         def evaluate(job: Job) -> Evaluated | str:
             try:
-                return self.evaluator.evaluate(
+                return self._evaluations.evaluate(
                     job.model,
                     job.starts,
                     refined=job.refined,
@@ -166,7 +174,7 @@ class Weighing:
             return
         self.progress(f"weighing {' + '.join(['K, B, I', *keys])} further", 0, 1)
         try:
-            found = self.evaluator.evaluate(
+            found = self._evaluations.evaluate(
                 known.model,
                 [known.values],
                 refined=known.refined,
@@ -203,7 +211,7 @@ class Weighing:
                     continue
                 self.progress(f"weighing {' + '.join(['K, B, I', *one.rest, one.key])}", 0, 1)
                 try:
-                    known[one.key] = self.evaluator.evaluate(
+                    known[one.key] = self._evaluations.evaluate(
                         one.model,
                         one.starts,
                         refined=one.refined,

@@ -1,0 +1,104 @@
+"""Models that were weighed are kept on disk, so that a weighing that was stopped goes on.
+
+Of a model its parameters are kept, its steps and the orders among which its noise was sought. All
+else follows from these and the data, as it did at first.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from identifiability.files import read_arrays, write_arrays
+from identifiability.inference.likelihood.estimate import Contender, Order
+from identifiability.investigation.fits.kept import own_code
+from identifiability.investigation.posterior.evidence import Evaluated, Evaluator
+from identifiability.investigation.posterior.noises import Weights, raw_residuals
+from identifiability.joint.model import Model
+from identifiability.joint.scheme import Scheme
+from identifiability.provenance import code_fingerprint, fingerprint
+
+
+@dataclass(frozen=True)
+class Evaluations:
+    """Evaluates models, each once.
+
+    Attributes
+    ----------
+    evaluator : Evaluator
+    folder : Path or None
+        Where they are kept; nowhere by default.
+    identity : str
+        Of the trials and all else that the evaluator was made of.
+    """
+
+    evaluator: Evaluator
+    folder: Path | None = None
+    identity: str = ""
+
+    def evaluate(
+        self,
+        model: Model,
+        starts: Sequence[Mapping[str, float]],
+        *,
+        refined: Sequence[str] = (),
+        scheme: Scheme | None = None,
+        noise: Weights | None = None,
+        least: float = -np.inf,
+        resolved: bool = True,
+    ) -> Evaluated:
+        """Evaluate a model, or take it up as it was found: see `Evaluator.evaluate`."""
+        path = None
+        if self.folder is not None:
+            start = None if noise is None else (noise.estimate.levels, noise.contenders)
+            how = (starts, refined, scheme, start, least, resolved)
+            question = fingerprint(self.identity, repr(model), own_code(model), *how)
+            path = self.folder / f"{_code()}-{question}.npz"
+            stored = read_arrays(path)
+            if stored is not None:
+                return self._again(model, refined, stored)
+        found = self.evaluator.evaluate(
+            model,
+            starts,
+            refined=refined,
+            scheme=scheme,
+            noise=noise,
+            least=least,
+            resolved=resolved,
+        )
+        if path is not None:
+            write_arrays(path, _stored(found))
+        return found
+
+    def _again(
+        self, model: Model, refined: Sequence[str], stored: Mapping[str, np.ndarray]
+    ) -> Evaluated:
+        evaluator, plain = self.evaluator, json.loads(str(stored["evaluated"]))
+        scheme = None if plain["scheme"] is None else Scheme(**plain["scheme"])
+        problem = evaluator.band.problem(
+            model, refined=refined, scheme=scheme, probes=evaluator.reference.probes
+        )
+        sought = [Contender(Order(*order), np.array(v, float)) for order, v in plain["sought"]]
+        raw = raw_residuals(problem, evaluator.band, stored["x"])[0]
+        weights = evaluator.reference.weights(raw, sought)
+        return evaluator.evaluated(problem, stored["x"], weights, refined, sought)
+
+
+def _stored(found: Evaluated) -> dict[str, np.ndarray]:
+    plain = {
+        "scheme": None if found.scheme is None else asdict(found.scheme),
+        "sought": [
+            [[o.p, o.q, bool(o.carried)], np.asarray(values, float).tolist()]
+            for o, values in found.sought
+        ],
+    }
+    return {"evaluated": np.array(json.dumps(plain)), "x": found.x}
+
+
+def _code() -> str:
+    """Beginning of the names of what this code found."""
+    return code_fingerprint("identifiability.investigation.posterior.search")[:12]
