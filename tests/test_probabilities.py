@@ -298,7 +298,7 @@ class Valued:
     def __init__(self, **log_evidence):
         self.log_evidence, self.asked = log_evidence, []
 
-    def evaluate(self, model, starts, *, refined=(), noise=None):
+    def evaluate(self, model, starts, *, refined=(), **how):
         self.asked.append(model.effect_keys)
         key = "+".join(model.effect_keys)
         return evaluated_as(self.log_evidence[key], model, starts[0], tuple(refined))
