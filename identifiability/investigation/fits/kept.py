@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import json
 import marshal
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
@@ -82,26 +82,21 @@ def _code() -> str:
     return code_fingerprint("identifiability.investigation.fits.bench")[:12]
 
 
-def question(
-    identity: str,
-    model: Model,
-    starts: Sequence[Mapping[str, float]],
-    refined: Sequence[str],
-    thorough: bool,
-) -> str:
+def question(identity: str, model: Model, *how: Any) -> str:
     """Hash of all that a fit depends on, but for the package's own code.
 
     Parameters
     ----------
     identity : str
         Of the trials and the bounds.
-    model, starts, refined, thorough
-        See `Workbench.fit`.
+    model : Model
+    *how
+        Starts and all else that was asked for, such as of `Workbench.fit`.
     """
-    return fingerprint(identity, repr(model), own_code(model), starts, refined, thorough)
+    return fingerprint(identity, repr(model), _own_code(model), *how)
 
 
-def own_code(model: Model) -> list[str]:
+def _own_code(model: Model) -> list[str]:
     """Compiled methods of effects that are not the package's, whose sources `_code` has not."""
     return [
         f"{effect.key}.{name} {hashlib.sha256(marshal.dumps(method.__code__)).hexdigest()}"

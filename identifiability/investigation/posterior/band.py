@@ -81,7 +81,7 @@ class Band:
     @cached_property
     def observations(self) -> list[Observation]:
         """The trials, long ones in pieces; residuals are in the response's unit."""
-        return [o for o, _ in self._pieces(self.prepared)]
+        return [o for o, _ in self._placed]
 
     @cached_property
     def windows(self) -> list[np.ndarray]:
@@ -101,12 +101,16 @@ class Band:
     @cached_property
     def spans(self) -> list[slice]:
         """Of each observation, its place among the samples of its trial, between its ends."""
-        return [span for _, span in self._pieces(self.prepared)]
+        return [span for _, span in self._placed]
 
     @cached_property
     def n_recorded(self) -> int:
         """Number of samples that could be compared."""
         return sum(-(-(p.last - p.first) // self.every) for p in self.prepared)
+
+    @cached_property
+    def _placed(self) -> list[tuple[Observation, slice]]:
+        return self._pieces(self.prepared)
 
     def _pieces(self, prepared: Sequence[Prepared]) -> list[tuple[Observation, slice]]:
         """Trials in pieces with their places, of long records as many as are compared."""

@@ -15,12 +15,12 @@ import numpy as np
 
 from identifiability.files import read_arrays, write_arrays
 from identifiability.inference.likelihood.estimate import Contender, Order
-from identifiability.investigation.fits.kept import own_code
+from identifiability.investigation.fits.kept import question
 from identifiability.investigation.posterior.evidence import Evaluated, Evaluator
 from identifiability.investigation.posterior.noises import Weights, raw_residuals
 from identifiability.joint.model import Model
 from identifiability.joint.scheme import Scheme
-from identifiability.provenance import code_fingerprint, fingerprint
+from identifiability.provenance import code_fingerprint
 
 
 @dataclass(frozen=True)
@@ -56,8 +56,7 @@ class Evaluations:
         if self.folder is not None:
             start = None if noise is None else (noise.estimate.levels, noise.contenders)
             how = (starts, refined, scheme, start, least, resolved)
-            question = fingerprint(self.identity, repr(model), own_code(model), *how)
-            path = self.folder / f"{_code()}-{question}.npz"
+            path = self.folder / f"{_code()}-{question(self.identity, model, *how)}.npz"
             stored = read_arrays(path)
             if stored is not None:
                 return self._again(model, refined, stored)
