@@ -61,17 +61,6 @@ class Ranker:
         left_out = tuple(k for k in keys if k not in kept)
         return Ranking(current, tuple(ranked), chosen, self.bench.rules.decisive, left_out)
 
-    def survey(self, current: Candidate) -> Ranking:
-        """A glance at every effect of the library beside a model; none is chosen."""
-        jobs = [
-            (current.model + self.library[key](), key)
-            for key in self.library
-            if key not in current.keys
-        ]
-        glanced = self._glances(f"adding to {_named(current)}", jobs, current)
-        ranked = self.judge_all(glanced, current)
-        return Ranking(current, tuple(ranked), "", self.bench.rules.decisive)
-
     def _choose(self, admitted: Sequence[Ranked]) -> str:
         """Effect to add: the best, or the plainest where the noise is unknown and many do."""
         admitted = [r for r in admitted if not r.doubt] or admitted
@@ -120,7 +109,11 @@ class Ranker:
         self, what: str, jobs: Sequence[tuple[Model, str]], current: Candidate
     ) -> list[tuple[str, Candidate]]:
         """A glance at every model, then the end of those that are worth it."""
-        glanced = self._glances(what, jobs, current)
+        glanced = self._map(
+            f"{what}: a glance",
+            jobs,
+            lambda model: self.fitter.fit(model, current, refined=current.refined, thorough=False),
+        )
         gains = [
             np.log(current.fitted.weighted / c.fitted.weighted) if not c.failure else -np.inf
             for _, c in glanced
@@ -139,15 +132,6 @@ class Ranker:
             )
         )
         return [(key, finished.get(key, c)) for key, c in glanced]
-
-    def _glances(
-        self, what: str, jobs: Sequence[tuple[Model, str]], current: Candidate
-    ) -> list[tuple[str, Candidate]]:
-        return self._map(
-            f"{what}: a glance",
-            jobs,
-            lambda model: self.fitter.fit(model, current, refined=current.refined, thorough=False),
-        )
 
     def _map(
         self, what: str, jobs: Sequence[tuple[Model, str]], work: Callable[[Model], Candidate]

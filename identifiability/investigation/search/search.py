@@ -147,7 +147,7 @@ class _Search:
 
     def of(self, final: Candidate, sets: Sequence[Sequence[str]]) -> Found:
         """What there is to know of a final model that is given."""
-        ranking = self.ranker.survey(self.baseline)
+        ranking = self.ranker.rank(self.baseline)
         ladder = self._ladder(final)
         chosen = ladder[0][0] if ladder else ""
         # Descriptions were weighed with the effects.
