@@ -25,20 +25,19 @@ from .investigation.findings import Findings
 from .investigation.fits.candidate import Candidate, Residual
 from .investigation.fits.kept import OnDisk
 from .investigation.investigate import investigate
+from .investigation.ladder.found import Found, Missing, Tried
 from .investigation.next_experiment import Design, Limits, NextExperiment
+from .investigation.posterior.claim import Claim
 from .investigation.posterior.discrepancy import Discrepant
-from .investigation.posterior.probabilities import Probabilities, SetProbability
+from .investigation.posterior.probabilities import Probabilities, SetProbability, WeighedSet
 from .investigation.record import investigation_record
 from .investigation.rules import Rules
-from .investigation.search.found import Found, Missing, Ranking
-from .investigation.search.gate import Ranked
-from .investigation.search.smallest_seen import Detectable
 from .investigation.session import Investigation
+from .investigation.smallest_seen import Detectable
 from .investigation.split import Split
 from .investigation.unexplained.account import Unexplained
 from .investigation.unexplained.explanation import Family
 from .investigation.unexplained.readouts import DelayReadout, MemoryKernel, MissingTorque, StaticMap
-from .investigation.verdict.by_probability import Claim
 from .investigation.verdict.judge import Verdict
 from .investigation.verdict.reasons import Reason
 from .investigation.where.compare import Change, Comparison, Constancy, Estimate, TrialRow
@@ -89,7 +88,7 @@ from .measurement.prepared import Lead, Prepared, Treatment
 from .measurement.readers import read_trial
 from .measurement.trials import Trial, onsets
 from .plots.corner import corner_figure
-from .plots.investigation import ladder_figure, ranking_figure, widths_figure
+from .plots.investigation import alone_figure, ladder_figure, widths_figure
 from .plots.investigation_unexplained import unexplained_figure
 from .plots.investigation_where import comparison_figure, responses_figure, where_figure
 from .plots.recording import overlay_figure, windows_figure
@@ -189,8 +188,8 @@ __all__ = [  # noqa: RUF022 -- in the order of use
     "OnDisk",
     "Residual",
     "Candidate",
-    "Ranked",
-    "Ranking",
+    "WeighedSet",
+    "Tried",
     "Missing",
     "Found",
     "Detectable",
@@ -230,7 +229,7 @@ __all__ = [  # noqa: RUF022 -- in the order of use
     "high_frequency",
     "corner_figure",
     "ladder_figure",
-    "ranking_figure",
+    "alone_figure",
     "widths_figure",
     "unexplained_figure",
     "comparison_figure",

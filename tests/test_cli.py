@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from identifiability.benchmark.cases import hidden_cases
-from identifiability.benchmark.run import failed
+from identifiability.benchmark.blind import blind_cases
+from identifiability.benchmark.calibration import failed
 from identifiability.cli.exits import PARTIAL
 from identifiability.cli.main import main
 from identifiability.provenance import read_record
-from identifiability.report.benchmark import page
+from identifiability.report.calibration import calibration_page
 from identifiability.sweep.outcome import Outcome
 
 HEADER = "time_s,torque_Nm,angle_rad"
@@ -131,29 +131,28 @@ def test_an_output_folder_that_is_a_file_is_refused(command, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        (["--seed", 1, -2], "seed -2"),
-        (["--every", 0], "--every 0"),
+        (["--seed", -2], "seed -2"),
+        (["--cases", 0], "--cases 0"),
         (["--workers", 0], "--workers 0"),
     ],
 )
 def test_benchmark_refuses_bad_options(options, words, tmp_path, capsys):
-    refuse(["benchmark", "investigation", *options], capsys, tmp_path, words)
+    refuse(["benchmark", "calibration", *options], capsys, tmp_path, words)
 
 
 def test_benchmark_writes_what_failed_too_and_says_so(tmp_path, capsys, monkeypatch):
-    def fails(tasks, folder, *, seeds, every, workers, known):
+    def fails(n, *, seed, folder, workers):
         outcomes = [Outcome("a case", "timed out", cause="no result within 2 s")]
-        (spec,) = hidden_cases("quick", 3)[:1]
-        return {seed: [failed("quick", spec, outcomes[0].cause)] for seed in seeds}, outcomes
+        return [failed(blind_cases("nulls", seed, 1)[0], outcomes[0].cause)], outcomes
 
-    monkeypatch.setattr("identifiability.benchmark.run.run_benchmark", fails)
-    arguments = ["benchmark", "investigation", "--tier", "quick", "--seed", "3", "4"]
+    monkeypatch.setattr("identifiability.benchmark.calibration.measure", fails)
+    arguments = ["benchmark", "calibration", "--cases", "8", "--seed", "3"]
     assert main([*arguments, "--out", str(tmp_path)]) == PARTIAL
     assert "no result within 2 s" in capsys.readouterr().err
-    record, remark = read_record(tmp_path / "investigation.json")
+    record, remark = read_record(tmp_path / "calibration.json")
     assert remark == ""
-    assert [run["tiers"]["quick"]["outcomes"]["failed"] for run in record["runs"]] == [1, 1]
-    assert (tmp_path / "investigation.md").read_text(encoding="utf-8") == page(record)
+    assert sum(tier["failed"] for tier in record["tiers"]) == 1
+    assert (tmp_path / "calibration.md").read_text(encoding="utf-8") == calibration_page(record)
 
 
 def test_atlas_refuses_a_missing_or_broken_configuration(tmp_path, capsys):

@@ -5,7 +5,6 @@ import pytest
 
 from identifiability.inference.conditional import one_by_one
 from identifiability.investigation.fits.bench import Workbench
-from identifiability.investigation.search.fitter import Fitter
 from identifiability.investigation.session import Investigation
 from identifiability.joint.effects import EFFECTS
 from identifiability.joint.model import KBI
@@ -40,14 +39,13 @@ def trials(model, values, driven, noise=0.01, shape=PULSE - 0.6 * SHIFTED, seed=
 
 
 def fitted(key, driven, changes=None, **experiment):
-    """The search's own fit of an effect to trials of a joint that has it."""
+    """An effect fitted to trials of a joint that has it."""
     model = KBI() + EFFECTS[key]()
     nominal = dict(zip(model.parameter_names, model.nominal, strict=True))
     values = nominal | JOINT | {f"{key}.{name}": value for name, value in (changes or {}).items()}
     data = trials(model, values, driven, **experiment)
     study = Investigation(data[:1], data[1:], library={key: EFFECTS[key]}, lowpass_hz=None)
-    kbi = study.fit(KBI())
-    return study.bench, kbi, Fitter(study.bench, kbi).fit(model, kbi)
+    return study.bench, study.fit(model)
 
 
 def gains_when_held(bench: Workbench, candidate):
@@ -82,7 +80,7 @@ def gains_when_held(bench: Workbench, candidate):
 
 @pytest.mark.parametrize("key", EFFECTS)
 def test_no_restricted_fit_beats_the_free_one(key):
-    bench, _, free = fitted(key, "torque")
+    bench, free = fitted(key, "torque")
     assert not free.failure
     gains = gains_when_held(bench, free)
     assert max(gains.values()) < ROUGH.get(key, TOLERANCE), gains
@@ -90,14 +88,14 @@ def test_no_restricted_fit_beats_the_free_one(key):
 
 @pytest.mark.parametrize("key", ["stretch_reflex", "series_tendon", "sensor_delay"])
 def test_nor_where_the_motion_is_imposed(key):
-    bench, _, free = fitted(key, "angle")
+    bench, free = fitted(key, "angle")
     gains = gains_when_held(bench, free)
     assert max(gains.values()) < TOLERANCE, gains
 
 
 def test_a_tendon_that_hardly_shows_is_found_along_its_ridge():
     """K, B and a stiff tendon make up for each other along a long curved ridge."""
-    bench, _, free = fitted("series_tendon", "torque", {"stiffness": 750.0}, noise=1e-3)
+    bench, free = fitted("series_tendon", "torque", {"stiffness": 750.0}, noise=1e-3)
     gains = gains_when_held(bench, free)
     assert max(gains.values()) < TOLERANCE, gains
 
@@ -105,7 +103,7 @@ def test_a_tendon_that_hardly_shows_is_found_along_its_ridge():
 def test_a_delay_is_found_beyond_the_next_ripple():
     """Shaken at 20 and 27 Hz: waves of 40 to 50 ms along the delay, and ripples of a sample."""
     true = {"delay": 0.033, "time_constant": 0.01}
-    bench, _, free = fitted("stretch_reflex", "angle", true, shape=SHAKEN)
+    bench, free = fitted("stretch_reflex", "angle", true, shape=SHAKEN)
     gains = gains_when_held(bench, free)
     assert max(gains.values()) < TOLERANCE, gains
     assert free.values["stretch_reflex.delay"] == pytest.approx(true["delay"], abs=2e-3)

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from constructed import probabilities
 from scipy import integrate, stats
 from scipy.optimize import least_squares
 
@@ -24,6 +25,7 @@ from identifiability.inference.fitting import inside
 from identifiability.inference.starts import starting_values
 from identifiability.investigation.posterior.band import Band, band_of
 from identifiability.investigation.posterior.beginnings import Beginnings
+from identifiability.investigation.posterior.claim import claim_of
 from identifiability.investigation.posterior.columns import without
 from identifiability.investigation.posterior.descriptions import descriptions_of
 from identifiability.investigation.posterior.discrepancy import _known, discrepancy_of
@@ -35,15 +37,10 @@ from identifiability.investigation.posterior.evidence import (
 )
 from identifiability.investigation.posterior.growing import growing_noise
 from identifiability.investigation.posterior.noises import Weighed
-from identifiability.investigation.posterior.probabilities import Probabilities, SetProbability
 from identifiability.investigation.posterior.search import _Search
 from identifiability.investigation.posterior.weighing import Weighing
 from identifiability.investigation.session import Investigation
-from identifiability.investigation.verdict.by_probability import by_probability, claim_of
-from identifiability.investigation.verdict.judge import Verdict
-from identifiability.investigation.verdict.reasons import Reason
 from identifiability.investigation.wording.describe import describe
-from identifiability.investigation.wording.verdict import _reason
 from identifiability.joint.effects import EFFECTS
 from identifiability.joint.model import KBI
 from identifiability.joint.response import simulate
@@ -333,15 +330,6 @@ def test_richer_forms_start_from_what_they_are_a_form_of():
     fewer = [key for key in EFFECTS if key != "maxwell_branch"]
     (only,) = descriptions_of(evaluated_as(0.0, model, values), (), fewer)
     assert only.key == "loose_coupling"
-
-
-def test_something_unknown_is_said_to_be_like_a_description():
-    found = replace(probabilities((None, 0.99), (("gravity",), 0.01)), description="loose_coupling")
-    claim = claim_of(found, EFFECTS, 0.95)
-    verdict = by_probability(Verdict("explained", (("gravity",),)), claim, found, (), EFFECTS)
-    assert verdict.kind == "unknown_memory"
-    said = [_reason(reason, None) for reason in verdict.reasons]
-    assert said[1].startswith("In form it comes nearest to play between what is driven and")
 
 
 # Noise of an imposed angle
@@ -638,12 +626,6 @@ def test_noise_that_is_most_of_a_response_is_improbable():
 # Claims
 
 
-def probabilities(*rows):
-    """Rows of (effects, probability) as probabilities."""
-    ranked = tuple(SetProbability(e, p, 0.0) for e, p in sorted(rows, key=lambda r: -r[1]))
-    return Probabilities(ranked, (), {}, 1.0, 1.0, None, (), {}, None, {}, (100, 100))
-
-
 @pytest.mark.parametrize(
     ("rows", "kind", "sets"),
     [
@@ -708,20 +690,17 @@ def test_what_is_there_whatever_else_is_stands_beside_something_unknown():
             ("coulomb_friction", "cubic_stiffness", "gravity"): 0.6,
             ("cubic_stiffness", "gravity"): 0.1,
         },
-        candidates={("coulomb_friction", "gravity"): None, ("gravity",): None, (): None},
+        sets={("coulomb_friction", "gravity"): None, ("gravity",): None, (): None},
     )
     assert found.present("gravity") == pytest.approx(1.0)
     assert found.present("coulomb_friction") == pytest.approx(0.9)
     claim = claim_of(found, EFFECTS, 0.95)
-    assert (claim.kind, claim.effects, claim.sets) == ("unknown", ("gravity",), ())
-    verdict = by_probability(Verdict("explained", (("gravity",),)), claim, found, (), EFFECTS)
-    assert (verdict.kind, verdict.sets) == ("unknown_static", ())
-    said = [_reason(reason, None) for reason in verdict.reasons]
-    assert any(s.startswith("Whatever else is missing, these are there: gravity") for s in said)
-    assert not any("coulomb friction 9" in s for s in said[1:])
-    # Where nothing is sure, nothing is said to be.
-    assert claim_of(found, EFFECTS, 0.85).effects == ("coulomb_friction", "gravity")
-    assert not claim_of(replace(found, beside_unknown={(): 0.7}), EFFECTS, 0.95).effects
+    assert (claim.kind, claim.present, claim.sets) == ("unknown", ("gravity",), ())
+    assert claim.effects == claim.present
+    assert claim_of(found, EFFECTS, 0.85).present == ("coulomb_friction", "gravity")
+    # Where nothing is sure, nothing is said to be; what comes nearest is shown.
+    unsure = claim_of(replace(found, beside_unknown={(): 0.7}), EFFECTS, 0.95)
+    assert (unsure.present, unsure.effects) == ((), found.unknown)
 
 
 def test_effects_that_are_claimed_each_need_one_of_their_own():
@@ -738,43 +717,6 @@ def test_probabilities_in_words():
         "That nothing is missing has a probability of 7 %.",
         "That something unknown is missing has a probability of 3 %.",
     )
-
-
-@pytest.mark.parametrize(
-    ("rows", "kind", "said"),
-    [
-        (
-            [(("gravity",), 0.97), ((), 0.03)],
-            "explained",
-            "The probability of this is 97 %; that nothing is missing, 3 %",
-        ),
-        (
-            [(("gravity",), 0.6), ((), 0.4)],
-            "nothing_missing",
-            "Probabilities: nothing is missing, 40 %; gravity, 60 %; something unknown, ",
-        ),
-        (
-            [(("gravity",), 0.6), (None, 0.4)],
-            "unknown_static",
-            "Probabilities: nothing is missing, less than 0.1 %; gravity, 60 %; something ",
-        ),
-    ],
-)
-def test_a_verdict_names_no_more_than_is_probable(rows, kind, said):
-    found = probabilities(*rows)
-    claim = claim_of(found, EFFECTS, 0.95)
-    before = Verdict("explained", (("gravity",),))
-    verdict = by_probability(before, claim, found, (), EFFECTS)
-    assert verdict.kind == kind
-    assert bool(verdict.sets) == (kind == "explained")
-    assert _reason(verdict.reasons[0], None).startswith(said)
-
-
-def test_a_probable_effect_that_leaves_much_is_not_named():
-    found = probabilities((("gravity",), 1.0))
-    before = Verdict("unknown_static", (), (Reason("only a part"),))
-    claim = claim_of(found, EFFECTS, 0.95)
-    assert by_probability(before, claim, found, (), EFFECTS) is before
 
 
 # The whole way

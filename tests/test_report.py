@@ -10,21 +10,21 @@ import pytest
 from hidden import HELD, JOINT, trials
 
 from identifiability.files import plain
+from identifiability.investigation.fits.candidate import NOTHING, Candidate
 from identifiability.investigation.investigate import investigate
+from identifiability.investigation.ladder.found import Found, Tried
 from identifiability.investigation.next_experiment import Limits, next_experiment
 from identifiability.investigation.record import investigation_record
 from identifiability.investigation.rules import Rules
-from identifiability.investigation.search.found import Ranking
-from identifiability.investigation.search.gate import Ranked
-from identifiability.investigation.search.smallest_seen import detectable
 from identifiability.investigation.session import Investigation
+from identifiability.investigation.smallest_seen import detectable
 from identifiability.investigation.verdict.pinned import not_pinned_down
 from identifiability.investigation.wording.pinned import loose_sentence
 from identifiability.joint.effects import EFFECTS
 from identifiability.joint.model import KBI
-from identifiability.plots.investigation import error_text, ranking_figure, widths_figure
+from identifiability.plots.investigation import alone_figure, error_text, widths_figure
 from identifiability.report.investigation import (
-    _ranking_row,
+    _tried_row,
     investigation_text,
     write_investigation,
     write_report,
@@ -42,11 +42,11 @@ def quiet_study():
 
 
 def test_the_smallest_effect_that_would_be_seen_is_seen(quiet_study):
-    """An effect of three times that size is admitted, one of a third of it is not."""
+    """An effect of three times that size is named, one of a third of it is not."""
     kbi = quiet_study.fit(KBI())
     smallest = {d.key: d for d in detectable(quiet_study.bench, kbi, SMALL)}["cubic_stiffness"]
     model = KBI() + EFFECTS["cubic_stiffness"]()
-    for factor, found in ((3.0, "cubic_stiffness"), (1 / 3, "")):
+    for factor, found in ((3.0, "effects"), (1 / 3, "nothing")):
         values = JOINT | {
             "cubic_stiffness.coefficient": factor * smallest.size,
             "cubic_stiffness.centre": 0.0,
@@ -54,7 +54,7 @@ def test_the_smallest_effect_that_would_be_seen_is_seen(quiet_study):
         study = Investigation(
             trials(model, values), trials(model, values, seed=9, conditions=HELD), library=SMALL
         )
-        assert study.rank(study.fit(KBI())).chosen == found
+        assert study.claim(study.weigh()).kind == found
 
 
 def test_a_larger_torque_tells_springs_apart_better(quiet_study):
@@ -156,23 +156,25 @@ def test_a_prediction_that_explodes_is_called_so():
     assert error_text(1e197) == error_text(np.inf) == "diverges"
 
 
-def test_every_row_of_a_ranking_lies_within_its_axes(quiet_study):
+def test_every_effect_lies_within_the_axes(quiet_study):
     base = quiet_study.fit(KBI())
-    wild = replace(base, held_out=replace(base.held_out, errors=np.array([1e197])))
-    failed = replace(base, failure="no")
-    ranking = tuple(
-        Ranked(key, found, evidence, 0.0, "no evidence")
-        for key, found, evidence in (
-            ("quadratic_stiffness", with_effect(base, "quadratic_stiffness"), 50.0),
-            ("cubic_stiffness", with_effect(wild, "cubic_stiffness"), -3.0),
-            ("gravity", with_effect(failed, "gravity"), -np.inf),
-        )
+    failed = Candidate(KBI() + EFFECTS["gravity"](), {}, (), NOTHING, NOTHING)
+    alone = (
+        Tried("quadratic_stiffness", with_effect(base, "quadratic_stiffness"), 50.0, 0.01, 0.9),
+        Tried("cubic_stiffness", with_effect(base, "cubic_stiffness"), -3.0, 0.02, 0.0),
+        Tried("gravity", failed, 0.0, 1.0, 0.0, "no"),
     )
-    axes = ranking_figure(Ranking(base, ranking, "", 10.0)).axes[0]
+    axes = alone_figure(Found(base, alone, base, (), None, 3), ["quadratic_stiffness"]).axes[0]
     texts = [t for t in axes.texts if t.get_text()]
-    assert [t.get_text() for t in texts][1:] == ["E held out diverges", "no fit"]
+    assert [t.get_text() for t in texts] == [
+        "leaves 1 % of the response",
+        "leaves 2 % of the response",
+        "no fit",
+    ]
     low, high = sorted(axes.get_ylim())
     assert all(low + 0.3 < t.xy[1] < high - 0.3 for t in texts)
+    # What is named is filled.
+    assert [bar.get_facecolor()[3] > 0 for bar in axes.patches] == [True, False]
 
 
 def with_effect(candidate, key):
@@ -219,7 +221,7 @@ def test_a_failed_candidate_is_shown_and_does_not_stop_the_rest(tmp_path):
     json.dumps(record, allow_nan=False)
     assert record["rules"] == asdict(Rules())
     # A rival's curve can be drawn again: every value of its model is there.
-    rivals = [c for step in record["steps"] for c in step["in_its_place"] if "failure" not in c]
+    rivals = [c for step in record["steps"] for c in step["in_its_place"]]
     assert [r["effect"] for r in rivals] == ["quadratic_stiffness"]
     assert set(rivals[0]["parameters"]) == {*JOINT, *rivals[0]["parameters"]}
     assert all(f"quadratic_stiffness.{p.name}" in rivals[0]["parameters"] for p in QUADRATIC)
@@ -269,9 +271,9 @@ def test_a_number_without_unit_keeps_its_digits(quiet_study):
     model = KBI() + EFFECTS["nonlinear_tendon"]()
     own = dict(zip(model.parameter_names[3:], (150.0, 11.0, 0.51, 4.2, 0.3), strict=True))
     found = replace(base, model=model, values=JOINT | own, free=model.parameter_names)
-    row = _ranking_row(Ranked("nonlinear_tendon", found, 12.0, 0.1))
+    row = _tried_row(Tried("nonlinear_tendon", found, 12.0, 0.1, 0.5))
     assert row[1] == "physics"
-    assert row[5] == (
+    assert row[4] == (
         "stiffness 150 Nm/rad, hardening 11 1/rad, asymmetry 0.51, bypass stiffness 4.2 Nm/rad, "
         "bypass damping 0.3 Nms/rad"
     )

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from identifiability.inference.widths import Widths
+from identifiability.investigation.ladder.found import Found
 from identifiability.investigation.next_experiment import NextExperiment
 from identifiability.investigation.posterior.probabilities import Probabilities
-from identifiability.investigation.search.found import Found
 from identifiability.investigation.split import Split
 from identifiability.investigation.unexplained.account import Unexplained
 from identifiability.investigation.verdict.judge import Verdict
@@ -26,7 +26,7 @@ class Findings:
     split : Split
         The trials, fitted and held out.
     found : Found
-        What the search for missing effects found.
+        The model that is claimed, or comes nearest, effect by effect.
     comparison, location : Comparison, Location or None
         Of the baseline model.
     unexplained_before, unexplained_after : Unexplained or None
@@ -62,7 +62,7 @@ class Findings:
     failures: Mapping[str, str]
     remarks: tuple[str, ...]
     seed: int
-    posterior: Probabilities | None = None
+    posterior: Probabilities | None
     timings: Mapping[str, float] = field(default_factory=dict)
 
     @property

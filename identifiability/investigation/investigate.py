@@ -14,9 +14,11 @@ from threadpoolctl import threadpool_limits
 from identifiability.errors import InputError
 from identifiability.investigation.findings import Findings
 from identifiability.investigation.fits.kept import Kept
+from identifiability.investigation.ladder.found import Found
 from identifiability.investigation.next_experiment import Limits
 from identifiability.investigation.rules import Rules
 from identifiability.investigation.session import Investigation
+from identifiability.investigation.verdict.judge import UNDECIDED
 from identifiability.joint.effects import Effect
 from identifiability.joint.model import Model
 from identifiability.measurement.filtering import Lowpass
@@ -108,8 +110,10 @@ def investigate(
         )
         with timed("probabilities"):
             posterior = attempt("probabilities", lambda: study.weigh(most=most, seed=seed))
-        with timed("search"):
-            found = study.search(most=most, posterior=posterior)
+        with timed("error ladder"):
+            found = study.climb(posterior) if posterior else Found.nothing(first)
+            if found.failure:
+                failures["error ladder"] = found.failure
         final = found.final
         widths = None
         if with_widths:
@@ -122,11 +126,13 @@ def investigate(
             if after is None:
                 after = study.unexplained(final, seed=seed)
         seen = None
-        if not found.missing:
+        if posterior is not None and study.claim(posterior).kind == "nothing":
             progress("the smallest effects that would have been seen", 0, 1)
             with timed("smallest effects seen"):
                 seen = attempt("smallest effects seen", lambda: study.smallest_seen(final))
-        verdict = study.judge(found, after, seen or (), posterior)
+        verdict = UNDECIDED
+        if posterior is not None:
+            verdict = study.judge(posterior, found, after, seen or ())
         progress("the next experiment", 0, 1)
         with timed("next experiment"):
             following = attempt(

@@ -18,7 +18,7 @@ from identifiability.inference.fitting import explore
 from identifiability.inference.problem import Problem, observe
 from identifiability.investigation.fits.bench import Workbench
 from identifiability.investigation.fits.candidate import Candidate
-from identifiability.investigation.search.found import Found
+from identifiability.investigation.ladder.found import Found
 from identifiability.investigation.split import Split
 from identifiability.investigation.verdict.judge import Verdict
 from identifiability.joint.response import simulate
@@ -184,9 +184,6 @@ def open_pair(found: Found, verdict: Verdict) -> tuple[Candidate, tuple[str, str
     (Candidate, (str, str)) or None
         ``None`` where no pair is open that an experiment could tell apart.
     """
-    if found.description is not None:
-        replaced = " and ".join(m.key for m in found.replaced_by(found.description))
-        return found.description.candidate, (replaced, found.description.key)
     if not verdict.sets:
         return None
     for missing in found.missing:

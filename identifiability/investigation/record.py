@@ -12,9 +12,9 @@ import numpy as np
 from identifiability.files import plain
 from identifiability.investigation.findings import Findings
 from identifiability.investigation.fits.candidate import Candidate
+from identifiability.investigation.ladder.found import Tried
 from identifiability.investigation.next_experiment import NextExperiment
 from identifiability.investigation.posterior.probabilities import Probabilities
-from identifiability.investigation.search.gate import Ranked
 from identifiability.investigation.unexplained.account import Unexplained
 from identifiability.investigation.verdict.pinned import not_pinned_down
 from identifiability.investigation.where.record import comparison_record, location_record
@@ -66,7 +66,7 @@ def investigation_record(findings: Findings, *, command: str = "") -> dict[str, 
                     **_errors(missing.rung),
                     "parameters": dict(missing.rung.values),
                     "without": _errors(missing.without),
-                    "in_its_place": [_ranked(r) for r in missing.rivals],
+                    "in_its_place": [_tried(r) for r in missing.rivals],
                 }
                 for missing in found.missing
             ],
@@ -80,23 +80,16 @@ def investigation_record(findings: Findings, *, command: str = "") -> dict[str, 
                 "share_explained": verdict.share,
                 "smallest_seen": [asdict(seen) for seen in verdict.smallest_seen],
             },
-            "posterior": _probabilities(findings.posterior),
-            "present": _present(findings.posterior),
-            "weighed": _weighed(findings.posterior),
-            "discrepancy": _discrepancy(findings.posterior),
+            **_posterior(findings.posterior),
             "next_experiment": _next_experiment(findings.next_experiment),
             "rankings": [
                 {
-                    "model": list(ranking.before.keys),
-                    "chosen": ranking.chosen,
-                    "candidates": [_ranked(r) for r in ranking.ranked],
-                    "screened_out": list(ranking.screened_out),
+                    "model": list(found.baseline.keys),
+                    "chosen": found.missing[0].key if found.missing else "",
+                    "candidates": [_tried(r) for r in found.alone],
                 }
-                for ranking in found.rankings
             ],
-            "descriptions": [_ranked(r) for r in found.descriptions],
-            "fits": found.n_fits,
-            "ended": found.ended,
+            "fits": found.n_weighed,
             "comparison": None
             if findings.comparison is None
             else comparison_record(findings.comparison),
@@ -150,40 +143,38 @@ def _next_experiment(following: NextExperiment | None) -> dict[str, Any] | None:
     }
 
 
-def _probabilities(posterior: Probabilities | None) -> list[dict[str, Any]] | None:
+def _posterior(posterior: Probabilities | None) -> dict[str, Any]:
+    """All that the probabilities say; nothing where there are none."""
     if posterior is None:
-        return None
-    return [
-        {
-            "effects": None if row.effects is None else list(row.effects),
-            "probability": row.probability,
-            "log_evidence": row.log_evidence,
-        }
-        for row in posterior.rows
-    ]
+        return dict.fromkeys(("posterior", "present", "weighed", "discrepancy"))
+    compared, recorded = posterior.samples
+    return {
+        "posterior": [
+            {
+                "effects": None if row.effects is None else list(row.effects),
+                "probability": row.probability,
+                "log_evidence": row.log_evidence,
+            }
+            for row in posterior.rows
+        ],
+        "present": _present(posterior),
+        # Of long records parts all over them.
+        "weighed": {"samples": compared, "of": recorded},
+        "discrepancy": _discrepancy(posterior),
+    }
 
 
-def _present(posterior: Probabilities | None) -> dict[str, float] | None:
+def _present(posterior: Probabilities) -> dict[str, float]:
     """Probability that each effect is there, whatever else is."""
-    if posterior is None:
-        return None
     sets = [row.effects or () for row in posterior.rows]
     named = dict.fromkeys(e for keys in (*sets, *posterior.beside_unknown) for e in keys)
     found = {effect: posterior.present(effect) for effect in named}
     return dict(sorted(found.items(), key=lambda item: -item[1]))
 
 
-def _weighed(posterior: Probabilities | None) -> dict[str, int] | None:
-    """Samples that the probabilities are of: of long records they are parts all over it."""
-    if posterior is None:
-        return None
-    compared, recorded = posterior.samples
-    return {"samples": compared, "of": recorded}
-
-
-def _discrepancy(posterior: Probabilities | None) -> dict[str, Any] | None:
+def _discrepancy(posterior: Probabilities) -> dict[str, Any] | None:
     """What the most probable model leaves, as shares of the response's root mean square."""
-    if posterior is None or posterior.discrepancy is None:
+    if posterior.discrepancy is None:
         return None
     found = posterior.discrepancy
     return {
@@ -208,27 +199,18 @@ def _errors(candidate: Candidate) -> dict[str, float | str | None]:
     }
 
 
-def _ranked(ranked: Ranked) -> dict[str, Any]:
-    candidate = ranked.candidate
-    if candidate.failure:
-        return {"effect": ranked.key, "failure": candidate.failure}
+def _tried(tried: Tried) -> dict[str, Any]:
+    """An effect as it was weighed: log evidence in nats, error of all trials in their band."""
+    if tried.failure:
+        return {"effect": tried.key, "failure": tried.failure}
     return {
-        "effect": ranked.key,
-        "evidence": ranked.evidence,
-        "held_out_gain": ranked.held_out_gain,
-        "admitted": ranked.passes,
-        "refusal": ranked.refusal,
-        "objection": ranked.objection,
-        "doubt": ranked.doubt,
-        "evidence_of_all_trials": ranked.refitted,
-        **_errors(candidate),
-        "model": list(candidate.keys),
-        "parameters": dict(candidate.values),
-        "at_bound": list(candidate.at_bound),
-        "refined": list(candidate.refined),
-        "fitted_to_the_end": candidate.thorough,
-        "starts_agreeing": candidate.n_agreeing,
-        "starts": candidate.n_starts,
+        "effect": tried.key,
+        "evidence": tried.evidence,
+        "probability": tried.probability,
+        "error": tried.error,
+        "model": list(tried.candidate.keys),
+        "parameters": dict(tried.candidate.values),
+        "refined": list(tried.candidate.refined),
     }
 
 

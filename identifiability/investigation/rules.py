@@ -13,13 +13,10 @@ from identifiability.joint import scheme
 
 @dataclass(frozen=True)
 class Rules:
-    """Conventions by which effects are believed, named and spoken of.
+    """Conventions by which effects are named and spoken of.
 
     Attributes
     ----------
-    decisive : float
-        Difference of the information criterion that counts as decisive (Kass & Raftery 1995, J Am
-        Stat Assoc 90: 773-795: more than 10 is very strong evidence).
     claimed : float
         Probability from which effects are named: a level that experimenters know.
     decisive_kind : float
@@ -28,37 +25,18 @@ class Rules:
     discrepancy : float
         Share of a trial's mean square that is added to its noise variance in the weights: the
         paper's dE. It keeps a nearly noiseless trial from deciding alone against models that are
-        never exact. Where the noise is not known it stands for it: no further effect is added to a
-        model that leaves less.
-    removed_share, removed_share_unknown_noise : float
-        Share of the remaining misfit that an effect must remove, and the same where the noise is
-        not known.
-    near_floor : float
-        Times the noise floor below which an effect is not judged by the share that it removes.
-    agreeing_share : float
-        Share of the gain on the fitted trials that the held-out ones must show, less chance.
-    form : float
-        Share of a misfit that equations right to a tenth of their torque may leave: its square. A
-        further effect that removes less than this share of what those before it removed may only
-        mend their equations, and a rival that removes all but this share is not excluded by it.
+        never exact.
     most_slack : float
         Largest relative uncertainty of the noise floor that is granted, however short the leads.
     explained_share : float
-        Share of the held-out misfit beyond the noise that named effects must remove to be called
-        the explanation. Equations are never exact, so the floor itself is not asked for.
-    linear_share : float
-        The same where all of them are linear effects of the joint: a linear relation has a scale
-        and a pace, but no shape that differs from muscle to muscle. Right to a fifth, it leaves
-        4 %.
-    named_share : float
-        The same where the noise is unknown, and with it the misfit beyond the noise; and the share
-        from which an effect that does not explain all is named at all.
+        Share of the held-out misfit beyond the noise that effects must remove to be named: those
+        that leave more than they explain, where they were not fitted, are a clue.
+    resolved : float
+        Expected evidence, twice the difference of log likelihoods, at which an experiment settles a
+        pair: odds of e to the 10th.
     kind_share : float
         Share of the misfit beyond the noise from which one function of the motion for all trials
         is preferred to what differs from trial to trial.
-    quiet_share : float
-        Share of what is left, below which a torque that no effect names does not speak against
-        noise alone.
     trace_share : float
         Share of what is left, below which an account of it explains nothing.
     clear_latency : float
@@ -70,8 +48,6 @@ class Rules:
     notable : float
         Standard errors from which the change of one of K, B and I between parts of the trials is
         named, where they change at all.
-    unmoved : float
-        Change of the logarithm of a held-out error that says nothing either way.
     enough_noise : float
         Times the quiet samples' noise, beyond which an explanation is not complete.
     loose : float
@@ -79,8 +55,7 @@ class Rules:
         value is then known to a factor of three at best.
     bad_luck : float
         Standard deviations by which the noise shortens an effect's trace in the smallest effect
-        that would have been seen: the noise is less kind in one draw of twenty. It counts in two
-        ways, in all trials and in the held-out ones.
+        that would have been seen: the noise is less kind in one draw of twenty.
     false_discoveries : float
         Rate of false discoveries within each view of where a model fails, and over the aspects of
         its comparison (Benjamini & Hochberg 1995, J R Stat Soc B 57: 289-300).
@@ -93,26 +68,17 @@ class Rules:
         Most effects to add.
     """
 
-    decisive: float = 10.0
     claimed: float = 0.95
     decisive_kind: float = 5.0
     discrepancy: float = 1e-3
-    removed_share: float = 1 / 3
-    removed_share_unknown_noise: float = 0.1
-    near_floor: float = 1.5
-    agreeing_share: float = 0.25
-    form: float = 0.01
     most_slack: float = 0.3
-    explained_share: float = 0.8
-    linear_share: float = 0.95
-    named_share: float = 0.5
+    explained_share: float = 0.5
+    resolved: float = 20.0
     kind_share: float = 0.8
-    quiet_share: float = 0.1
     trace_share: float = 0.01
     clear_latency: float = 0.1
     least_latency: float = 0.01
     notable: float = 3.0
-    unmoved: float = 0.05
     enough_noise: float = 1.5
     loose: float = 0.5
     bad_luck: float = 1.645
@@ -121,8 +87,3 @@ class Rules:
     solver_most: float = scheme.MOST
     solver_least: float = scheme.LEAST
     most_effects: int = 4
-
-    @property
-    def resolved(self) -> float:
-        """Expected evidence at which an experiment settles a pair: twice the decisive one."""
-        return 2 * self.decisive

@@ -15,6 +15,8 @@ from identifiability.investigation.fits.bench import Workbench
 from identifiability.investigation.fits.candidate import Candidate
 from identifiability.investigation.fits.kept import InMemory, Kept, OnDisk
 from identifiability.investigation.fits.widths import parameter_widths
+from identifiability.investigation.ladder.climb import found_of
+from identifiability.investigation.ladder.found import Found
 from identifiability.investigation.next_experiment import (
     Limits,
     NextExperiment,
@@ -22,17 +24,15 @@ from identifiability.investigation.next_experiment import (
     open_pair,
 )
 from identifiability.investigation.posterior.band import band_of
+from identifiability.investigation.posterior.claim import Claim, claim_of
 from identifiability.investigation.posterior.evidence import evaluator_of
 from identifiability.investigation.posterior.kept import Evaluations
 from identifiability.investigation.posterior.probabilities import Probabilities
 from identifiability.investigation.posterior.search import weigh
 from identifiability.investigation.rules import Rules
-from identifiability.investigation.search.found import Found, Ranking
-from identifiability.investigation.search.search import found_of, rank, search
-from identifiability.investigation.search.smallest_seen import Detectable, detectable
+from identifiability.investigation.smallest_seen import Detectable, detectable
 from identifiability.investigation.split import Split, gather
 from identifiability.investigation.unexplained.account import Unexplained, unexplained
-from identifiability.investigation.verdict.by_probability import Claim, by_probability, claim_of
 from identifiability.investigation.verdict.judge import Verdict, judge
 from identifiability.investigation.where.compare import Comparison, compare
 from identifiability.investigation.where.locate import Location, locate
@@ -88,8 +88,9 @@ class Investigation:
     --------
     >>> study = Investigation(trials)                    # doctest: +SKIP
     >>> kbi = study.fit(KBI())                           # doctest: +SKIP
-    >>> study.rank(kbi).chosen                           # doctest: +SKIP
-    'stretch_reflex'
+    >>> posterior = study.weigh()                        # doctest: +SKIP
+    >>> study.claim(posterior).sets                      # doctest: +SKIP
+    (('stretch_reflex',),)
     >>> better = study.fit(KBI() + StretchReflex())      # doctest: +SKIP
     """
 
@@ -149,36 +150,6 @@ class Investigation:
         """What a model leaves, as a torque of which nothing is assumed but its family."""
         return unexplained(self.bench, candidate, seed=seed)
 
-    def rank(self, candidate: Candidate) -> Ranking:
-        """Add every effect of the library to a model, refit, and rank."""
-        return rank(self.bench, candidate, self.baseline, self.library, progress=self.progress)
-
-    def search(self, *, most: int | None = None, posterior: Probabilities | None = None) -> Found:
-        """Find the effects that are missing, and what could stand in their place.
-
-        Parameters
-        ----------
-        most : int, optional
-            Most effects to add; the rules' number by default.
-        posterior : Probabilities, optional
-            What `weigh` gave: what is probable enough is then taken as it is; where something
-            unknown is, the effects beside which it is most probable. Without it effects are added,
-            dropped and swapped for as long as the evidence is decisive.
-        """
-        if posterior is not None:
-            claim = self.claim(posterior)
-            final = posterior.candidates.get(tuple(sorted(claim.effects)))
-            if final is not None:
-                return found_of(
-                    self.bench,
-                    self.baseline,
-                    self.library,
-                    final,
-                    claim.sets or [(effect,) for effect in claim.effects],
-                    progress=self.progress,
-                )
-        return search(self.bench, self.baseline, self.library, most=most, progress=self.progress)
-
     def weigh(self, *, most: int | None = None, seed: int = 1) -> Probabilities:
         """Probabilities of the sets of effects that may be missing, "none of these" among them.
 
@@ -221,20 +192,23 @@ class Investigation:
         """What the probabilities allow to name."""
         return claim_of(posterior, self.library, self.bench.rules.claimed)
 
+    def climb(self, posterior: Probabilities) -> Found:
+        """Fit the model that is claimed, or comes nearest, effect by effect: the error ladder."""
+        claim = self.claim(posterior)
+        return found_of(
+            self.bench, self.baseline, posterior, claim, self.library, progress=self.progress
+        )
+
     def judge(
         self,
+        posterior: Probabilities,
         found: Found,
         rest: Unexplained,
         smallest_seen: Sequence[Detectable] = (),
-        posterior: Probabilities | None = None,
     ) -> Verdict:
-        """What a search, an account of what it left and the probabilities allow to say."""
-        verdict = judge(self.split, found, rest, smallest_seen, self.library)
-        if posterior is None:
-            return verdict
-        return by_probability(
-            verdict, self.claim(posterior), posterior, smallest_seen, self.library
-        )
+        """What the probabilities, the error ladder and an account of what is left allow to say."""
+        claim = self.claim(posterior)
+        return judge(self.split, posterior, claim, found, rest, smallest_seen, self.library)
 
     def next_experiment(
         self,

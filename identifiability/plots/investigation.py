@@ -1,8 +1,8 @@
-"""Figures of an investigation's decisions: the ranking of candidates and the error ladder."""
+"""Figures of an investigation's decisions: every effect alone, the error ladder, the widths."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -10,12 +10,12 @@ from matplotlib.patches import Patch
 
 from identifiability.inference.widths import Widths
 from identifiability.investigation.findings import Findings
-from identifiability.investigation.search.found import Ranking
+from identifiability.investigation.ladder.found import Found
 from identifiability.palette import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILLION
 from identifiability.plots.style import styled
 
 _DIVERGED = 1e3  # E of a prediction that has nothing to do with the trial any more
-_FEWEST = 1.0  # evidence below it is drawn at this length: the axis is logarithmic
+_LEAST = 1.0  # nats: what is less is drawn at this length, the axis being logarithmic
 
 
 def error_text(error: float, digits: int = 3) -> str:
@@ -23,76 +23,49 @@ def error_text(error: float, digits: int = 3) -> str:
     return f"{error:.{digits}g}" if error < _DIVERGED else "diverges"
 
 
-def ranking_figure(ranking: Ranking, members: Sequence[str] = ()) -> Figure:
-    """Evidence of every candidate beside one model, physics and measurement in two colours.
+def alone_figure(found: Found, named: Collection[str] = ()) -> Figure:
+    """Log evidence of every effect beside the baseline, physics and measurement in two colours.
 
     Parameters
     ----------
-    ranking : Ranking
-    members : sequence of str
-        Effects that cannot be told apart from the one that was chosen.
+    found : Found
+    named : collection of str
+        Effects that are named, alone or as what one of them could be.
 
     Returns
     -------
     Figure
     """
-    ranked = [r for r in ranking.ranked if not r.candidate.failure]
-    failed = [r for r in ranking.ranked if r.candidate.failure]
     with styled():
-        figure = Figure(figsize=(9.0, 0.36 * len(ranking.ranked) + 1.9))
+        figure = Figure(figsize=(9.0, 0.36 * len(found.alone) + 1.9))
         axes = figure.subplots()
-        for row, r in enumerate(ranked):
-            colour = ORANGE if r.effect.kind == "measurement" else BLUE
-            axes.barh(
-                row,
-                max(r.evidence, _FEWEST),
-                color=colour if r.passes else "none",
-                edgecolor=colour,
-                height=0.68,
-            )
-            mark = "   chosen" if r.key == ranking.chosen else ""
-            if r.key in members and r.key != ranking.chosen:
-                mark = "   cannot be told apart from it"
-            held = r.candidate.held_out.error
-            words = f"E held out {error_text(held, 2)}{mark}" if np.isfinite(held) else mark.strip()
+        for row, one in enumerate(found.alone):
+            colour = ORANGE if one.effect.kind == "measurement" else BLUE
+            length = _LEAST if one.failure else max(one.evidence, _LEAST)
+            if not one.failure:
+                face = colour if one.key in named else "none"
+                axes.barh(row, length, color=face, edgecolor=colour, height=0.68)
             axes.annotate(
-                words,
-                (max(r.evidence, _FEWEST), row),
+                "no fit" if one.failure else f"leaves {100 * one.error:.2g} % of the response",
+                (length, row),
                 xytext=(5, 0),
                 textcoords="offset points",
                 va="center",
                 fontsize=9,
-                color=BLACK,
+                color=VERMILLION if one.failure else BLACK,
                 bbox={"facecolor": "white", "edgecolor": "none", "pad": 1},
             )
-        for row, _ in enumerate(failed, len(ranked)):
-            axes.annotate(
-                "no fit",
-                (_FEWEST, row),
-                xytext=(5, 0),
-                textcoords="offset points",
-                va="center",
-                fontsize=9,
-                color=VERMILLION,
-            )
-        axes.axvline(ranking.decisive, color=GREY, lw=1, ls="--", zorder=0)
-        axes.set_yticks(
-            range(len(ranking.ranked)), [r.key.replace("_", " ") for r in (*ranked, *failed)]
-        )
-        axes.set_ylim(len(ranking.ranked) - 0.4, -0.6)
+        axes.set_yticks(range(len(found.alone)), [r.key.replace("_", " ") for r in found.alone])
+        axes.set_ylim(len(found.alone) - 0.4, -0.6)
         axes.set_xscale("log")
-        top = max([r.evidence for r in ranked] + [10 * ranking.decisive])
-        axes.set_xlim(_FEWEST, top**1.5)
-        before = ", ".join(k.replace("_", " ") for k in ranking.before.keys) or "K, B, I alone"
-        axes.set_xlabel(
-            "evidence for adding it (twice log likelihood less penalty); dashed: decisive"
-        )
-        axes.set_title(f"added to: {before}", loc="left")
+        axes.set_xlim(_LEAST, max([10.0, *(r.evidence for r in found.alone)]) ** 1.4)
+        before = ", ".join(k.replace("_", " ") for k in found.baseline.keys) or "K, B, I"
+        axes.set_xlabel(f"log evidence above that of {before} alone [nats]")
         axes.legend(
             handles=[
                 Patch(color=BLUE, label="physics"),
                 Patch(color=ORANGE, label="measurement"),
-                Patch(facecolor="none", edgecolor=GREY, label="not admitted"),
+                Patch(facecolor="none", edgecolor=GREY, label="not named"),
             ],
             loc="lower right",
         )

@@ -12,9 +12,8 @@ import numpy as np
 from identifiability.files import write_json, write_text
 from identifiability.inference.widths import Widths
 from identifiability.investigation.findings import Findings
+from identifiability.investigation.ladder.found import Found, Tried
 from identifiability.investigation.record import investigation_record
-from identifiability.investigation.search.found import Found, Ranking
-from identifiability.investigation.search.gate import Ranked
 from identifiability.investigation.verdict.pinned import interval, not_pinned_down
 from identifiability.investigation.wording import verdict as words
 from identifiability.investigation.wording.describe import describe
@@ -23,9 +22,8 @@ from identifiability.investigation.wording.pinned import loose_sentence
 from identifiability.investigation.wording.unexplained import unexplained_sentence
 from identifiability.joint.parameters import Parameter, with_unit
 from identifiability.plots.investigation import (
-    error_text,
+    alone_figure,
     ladder_figure,
-    ranking_figure,
     widths_figure,
 )
 from identifiability.plots.investigation_unexplained import unexplained_figure
@@ -39,11 +37,6 @@ from identifiability.report.page import Page
 
 _ROWS = 6  # sets listed in the terminal, at most
 _SHOWN = 0.005  # probability from which a set is listed
-_ENDED = {
-    "nothing admitted": "no further effect was admitted",
-    "most effects": "no more effects were to be added",
-    "by probability": "what is probable enough was added",
-}
 
 
 @dataclass(frozen=True)
@@ -88,10 +81,10 @@ def investigation_text(findings: Findings) -> str:
         lines += ["", f"Next experiment. {next_experiment_sentence(findings.next_experiment)}"]
     if findings.posterior is not None:
         lines += ["", "probability of what may be missing:"]
-        for one in findings.posterior.rows[:_ROWS]:
-            if one.probability >= _SHOWN:
-                name = words.set_in_words(one.effects)
-                lines.append(f"  {name:<40}{words.percent(one.probability):>18}")
+    for one in () if findings.posterior is None else findings.posterior.rows[:_ROWS]:
+        if one.probability >= _SHOWN:
+            name = words.set_in_words(one.effects)
+            lines.append(f"  {name:<40}{words.percent(one.probability):>18}")
     if findings.widths is not None:
         lines.append("")
         for row in findings.widths.rows:
@@ -147,7 +140,8 @@ def _verdict(page: Page, findings: Findings) -> None:
     split = findings.split
     page.paragraph(
         f"{len(split.fitted)} trial(s) fitted, {len(split.held_out)} held out "
-        f"({split.how_held_out}); {split.driven} imposed; {findings.found.n_fits} models fitted."
+        f"({split.how_held_out}); {split.driven} imposed; "
+        f"{findings.found.n_weighed} sets of effects weighed."
     )
     page.box([words.TITLES[findings.verdict.kind] + ".", words.verdict_sentence(findings)])
     page.items(words.because(findings))
@@ -195,7 +189,7 @@ def _probabilities(page: Page, findings: Findings) -> None:
         _failed(page, findings, "probabilities")
         return
     page.paragraph(
-        f"Probability of every set of effects that was fitted ({len(posterior.candidates)} of "
+        f"Probability of every set of effects that was fitted ({findings.found.n_weighed} of "
         "them), by one likelihood of the recordings, with the noise of both channels and its colour"
         " estimated for each. Something unknown is a torque of any form. Every number of effects is"
         " taken to be as probable before the data, and then every set of so many."
@@ -216,68 +210,42 @@ def _probabilities(page: Page, findings: Findings) -> None:
 
 def _which(page: Page, figures: _Figures, findings: Findings) -> None:
     found = findings.found
-    members = {m.key: m.could_be for m in found.missing}
+    named = {key for names in findings.verdict.sets for key in names}
     page.heading("Which effect is missing")
     _probabilities(page, findings)
-    for number, ranking in enumerate(found.rankings, 1):
-        figures.show(
-            f"ranking_{number}",
-            lambda ranking=ranking: ranking_figure(  # type: ignore[misc]
-                ranking, members.get(ranking.chosen, ())
-            ),
-            f"Step {number}: every effect added to the model and fitted anew by least squares. "
-            + (
-                "The evidence, an information criterion, is for comparison: what is named goes by "
-                "probability."
-                if found.ended == "by probability"
-                else f"Evidence above {ranking.decisive:.0f} is decisive; an effect is admitted if "
-                "the held-out trials agree."
-            ),
-        )
-        _ranking_table(page, ranking)
-        if ranking.screened_out:
-            names = ", ".join(words.plain(key) for key in ranking.screened_out)
-            page.paragraph(f"Not fitted at this step, their signature not being there: {names}.")
-    page.paragraph(f"The search ended because {_ended(findings)}.")
+    if not found.alone:
+        return
+    figures.show(
+        "alone",
+        lambda: alone_figure(found, named),
+        "Every effect alone beside the baseline model. What alone is a poor picture of two effects "
+        "may be left behind by both.",
+    )
+    page.table(
+        ["effect", "kind", "log evidence [nats]", "left of the response", "parameters"],
+        [_tried_row(one) for one in found.alone],
+        marked=["failed" if one.failure else "" for one in found.alone],
+        text_columns=(0, 1, 4),
+    )
     _in_their_place(page, found)
-    for r in found.descriptions:
-        if r.candidate.failure:
-            continue
-        replaced = [words.plain(m.key) for m in found.replaced_by(r)]
-        page.paragraph(
-            f"Held against {' and '.join(replaced)}: {words.plain(r.key)}, which names no "
-            f"one mechanism, {'and displaces' if r.passes else 'but does not displace'} "
-            f"{'it' if len(replaced) == 1 else 'them'}. Evidence against the final model "
-            f"{r.evidence:.1f}, E held out {error_text(r.candidate.held_out.error)}."
-        )
-
-
-def _ended(findings: Findings) -> str:
-    if findings.found.ended in _ENDED:
-        return _ENDED[findings.found.ended]
-    if findings.split.has_noise:
-        return "the error reached the noise floor"
-    error = findings.split.rules.discrepancy
-    return f"the noise is not known, and an error below {error:g} may be one of measurement"
 
 
 def _in_their_place(page: Page, found: Found) -> None:
-    if len(found.missing) < 2:
-        return
-    page.paragraph("In the place of each effect of the final model, the best others:")
     rows = [
         [
             words.plain(missing.key),
             words.plain(r.key),
             f"{r.evidence:.1f}",
-            error_text(r.candidate.held_out.error),
+            words.percent(r.probability),
         ]
         for missing in found.missing
         for r in missing.rivals[:4]
-        if not r.candidate.failure
     ]
+    if len(found.missing) < 2 or not rows:
+        return
+    page.paragraph("In the place of each effect of the final model, the best others:")
     page.table(
-        ["in the place of", "effect", "evidence against the final model", "E held out"],
+        ["in the place of", "effect", "log evidence against the final model [nats]", "probability"],
         rows,
         text_columns=(0, 1),
     )
@@ -365,8 +333,8 @@ def _how(page: Page, findings: Findings, record: dict[str, Any]) -> None:
             f"data SHA-256 {record['data_sha256']}",
             "E is the summed squared residual over the summed squared response of a trial (Eq. 3 "
             "of Kistemaker & Rozendaal 2011), averaged over trials; VAF is 1 - E.",
-            "Evidence is the number of independent samples times the logarithm of the ratio of "
-            "residuals, less the penalty of the Bayesian information criterion.",
+            "Evidence is the likelihood of the recordings, averaged over what the parameters may "
+            "be before them (Laplace's approximation), as its natural logarithm, in nats.",
             "Conventions: "
             + ", ".join(f"{name.replace('_', ' ')} {v:.3g}" for name, v in record["rules"].items())
             + ".",
@@ -391,40 +359,17 @@ def _how(page: Page, findings: Findings, record: dict[str, Any]) -> None:
     )
 
 
-def _ranking_table(page: Page, ranking: Ranking) -> None:
-    rows, marked = [], []
-    for r in ranking.ranked:
-        chosen = "chosen" if r.key == ranking.chosen else ""
-        marked.append("failed" if r.candidate.failure else chosen)
-        rows.append(_ranking_row(r))
-    page.table(
-        ["effect", "kind", "evidence", "E fitted", "E held out", "parameters", "remarks"],
-        rows,
-        marked=marked,
-        text_columns=(0, 1, 5, 6),
-    )
-
-
-def _ranking_row(r: Ranked) -> list[str]:
-    name, kind, candidate = words.plain(r.key), r.effect.kind, r.candidate
-    if candidate.failure:
-        return [name, kind, "", "", "", "", f"no fit: {candidate.failure}"]
-    remark = r.objection if r.refusal == "objection" else words.REFUSALS[r.refusal]
-    remarks = [remark] if remark else []
-    if not candidate.thorough:
-        remarks.append("fell behind after a glance")
-    own = [n for n in candidate.at_bound if n.startswith(f"{r.key}.")]
-    if own and r.evidence > 0:
-        remarks.append(f"at a bound: {', '.join(words.plain(n.split('.')[1]) for n in own)}")
-    units = {n: p.unit for n, p in candidate.model.parameters.items()}
+def _tried_row(tried: Tried) -> list[str]:
+    name, kind = words.plain(tried.key), tried.effect.kind
+    if tried.failure:
+        return [name, kind, "", "", f"no fit: {tried.failure}"]
+    units = {n: p.unit for n, p in tried.candidate.model.parameters.items()}
     return [
         name,
         kind,
-        f"{r.evidence:.1f}",
-        error_text(candidate.fitted.error),
-        error_text(candidate.held_out.error) if candidate.held_out.by_trial else "",
-        words.values_in_words(r.own_values, units),
-        "; ".join(remarks),
+        f"{tried.evidence:.1f}",
+        words.percent(tried.error),
+        words.values_in_words(tried.own_values, units),
     ]
 
 

@@ -44,6 +44,7 @@ _SOLVER = 1.0  # squared error of the integration, all samples together, over th
 _CARRIED = 2  # starts that a fit is carried on from
 _REFERENCE_ROUNDS, _SETTLED = 5, 1e-3
 _LEAST_EIGENVALUE = 1e-12
+_DIVERGED = 1e3  # responses that a model may leave, and still be said to have one
 _LEAST_LEFT = 0.1  # share of a precision that noise of the angle leaves
 _PLAIN = ((0, 0), (1, 0), (1, 1))  # orders that the noise of a better model may fall to
 
@@ -228,6 +229,8 @@ class Evaluator:
         while resolved and (finer := self._finer(problem, best)) is not None:
             problem = problem.with_scheme(finer)
             best = self._settled(problem, best.x[None], best.weights, refined, least)
+        if not best.weights.estimate.rms < _DIVERGED * self.band.scale:
+            raise InputError("the best response found is not finite")
         return best
 
     @staticmethod

@@ -29,6 +29,25 @@ class SetProbability:
 
 
 @dataclass(frozen=True, eq=False)
+class WeighedSet:
+    """One set of effects as it was weighed, in the best form of its model.
+
+    Attributes
+    ----------
+    candidate : Candidate
+        Its values, as fitted together with the noise; to be fitted from there.
+    log_evidence : float
+        In nats, its equations taken to be exact.
+    error : float
+        Share of the response's energy that it leaves, of all trials in the compared band.
+    """
+
+    candidate: Candidate
+    log_evidence: float
+    error: float
+
+
+@dataclass(frozen=True, eq=False)
 class Probabilities:
     """What is probable, of all that was tried.
 
@@ -53,8 +72,8 @@ class Probabilities:
     description : str or None
         Key of the description that something unknown comes nearest to; None where it is of another
         form.
-    candidates : mapping of tuple of str to Candidate
-        Each set as it was weighed, to be fitted from there.
+    sets : mapping of tuple of str to WeighedSet
+        Each set that was weighed, its keys in order.
     samples : tuple of int
         Number of samples that were compared, and of those that were recorded in that band.
     failures : mapping of str to str
@@ -70,7 +89,7 @@ class Probabilities:
     unknown: tuple[str, ...]
     beside_unknown: Mapping[tuple[str, ...], float]
     description: str | None
-    candidates: Mapping[tuple[str, ...], Candidate]
+    sets: Mapping[tuple[str, ...], WeighedSet]
     samples: tuple[int, int]
     failures: Mapping[str, str] = field(default_factory=dict)
 

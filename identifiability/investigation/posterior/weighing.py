@@ -26,7 +26,11 @@ from identifiability.investigation.posterior.discrepancy import (
 from identifiability.investigation.posterior.evidence import Evaluated, Evaluator
 from identifiability.investigation.posterior.kept import Evaluations
 from identifiability.investigation.posterior.noises import Weights
-from identifiability.investigation.posterior.probabilities import Probabilities, SetProbability
+from identifiability.investigation.posterior.probabilities import (
+    Probabilities,
+    SetProbability,
+    WeighedSet,
+)
 from identifiability.joint.effects import DESCRIPTIONS
 from identifiability.joint.model import Model
 from identifiability.joint.programs import THREADS
@@ -264,10 +268,16 @@ class Weighing:
             unknown,
             self._beside_unknown(rows, forms),
             forms.described.get(unknown),
-            {k: unfitted(f.model, [f.values], f.refined, f.scheme) for k, f in self.found.items()},
+            {keys: self._weighed(found) for keys, found in self.found.items()},
             (self.evaluator.band.n_samples, self.evaluator.band.n_recorded),
             dict(self.failures),
         )
+
+    def _weighed(self, found: Evaluated) -> WeighedSet:
+        """A model as it was weighed, for those who look at it later."""
+        candidate = unfitted(found.model, [found.values], found.refined, found.scheme)
+        error = (found.weights.estimate.rms / self.evaluator.band.scale) ** 2
+        return WeighedSet(candidate, found.log_evidence, error)
 
     def _forms(self, ranked: Sequence[Keys]) -> _Forms:
         """The sets that come near, with their equations inexact, and with something unknown."""

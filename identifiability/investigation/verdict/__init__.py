@@ -1,1 +1,1 @@
-"""What the findings allow to say: reasons as data, and the words for them."""
+"""What the findings allow to say, and the reasons for it as data."""

@@ -6,20 +6,20 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, get_args
 
-import numpy as np
-
 from identifiability.investigation.fits.candidate import Candidate
-from identifiability.investigation.fits.independent import effective_samples
-from identifiability.investigation.search.equivalence import same_form
-from identifiability.investigation.search.found import Found, Missing
-from identifiability.investigation.search.gate import Ranked
-from identifiability.investigation.search.smallest_seen import Detectable
+from identifiability.investigation.ladder.found import Found, Missing
+from identifiability.investigation.posterior.claim import Claim, same_form
+from identifiability.investigation.posterior.discrepancy import Discrepant
+from identifiability.investigation.posterior.probabilities import Probabilities
+from identifiability.investigation.smallest_seen import Detectable
 from identifiability.investigation.split import Split
 from identifiability.investigation.unexplained.account import Unexplained
 from identifiability.investigation.verdict.reasons import Reason
 from identifiability.joint.effects import Effect
 
 _NONE = 1e-6  # share of its usual value that is no stiffness or damping at all
+_SHARE = 0.2  # of what differs between trials, from which one torque for all is spoken of
+_LISTED = 3  # sets whose probabilities are said
 
 Kind = Literal[
     "explained",
@@ -29,12 +29,11 @@ Kind = Literal[
     "measurement",
     "unrepeatable",
     "nothing_missing",
+    "undecided",
 ]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 
-# Effects of the measurement that a library-free kind speaks for, where none of them fits.
-_SENSORS = {"drift": ("sensor_drift",), "sensor": ("sensor_delay", "sensor_lowpass")}
-
+# Kinds of verdict by the kind of torque that nothing names.
 _UNKNOWN: dict[str, Kind] = {
     "static": "unknown_static",
     "hysteresis": "unknown_memory",
@@ -42,6 +41,7 @@ _UNKNOWN: dict[str, Kind] = {
     "sensor": "measurement",
     "drift": "measurement",
     "unrepeatable": "unrepeatable",
+    "varying": "unrepeatable",
     "none": "unrepeatable",
 }
 
@@ -58,7 +58,7 @@ class Verdict:
         For each missing effect all that could be it, best name first; empty where none is named.
     reasons : tuple of Reason
     share : float or None
-        Share of the held-out misfit beyond the noise that the effects that were found remove.
+        Share of the held-out misfit beyond the noise that the final model's effects remove.
     smallest_seen : tuple of Detectable
         Where nothing is missing, the smallest effects that would have been seen.
     """
@@ -75,96 +75,96 @@ class Verdict:
         return tuple(names[0] for names in self.sets)
 
 
+UNDECIDED = Verdict("undecided", ())
+"""Where nothing could be weighed."""
+
+
 def judge(
     split: Split,
+    posterior: Probabilities,
+    claim: Claim,
     found: Found,
     rest: Unexplained,
     smallest_seen: Sequence[Detectable],
     library: Mapping[str, type[Effect]],
 ) -> Verdict:
-    """Verdict on what a search found and what it left.
+    """Verdict on what is probable, and on how the errors of its model fall.
 
     Parameters
     ----------
     split : Split
+    posterior : Probabilities
+    claim : Claim
+        What they allow to name.
     found : Found
+        The model that the claim is shown by, effect by effect.
     rest : Unexplained
-        Library-free account of what the final model leaves.
+        Library-free account of what that model leaves.
     smallest_seen : sequence of Detectable
-        Smallest effects that would have been seen beside the final model.
+        Smallest effects that would have been seen, where nothing is missing.
     library : mapping of str to type of Effect
     """
-    reasons = [_errors(split, found), *_in_turn(found)]
-    for missing in found.missing:
+    explains = found.share is None or found.share >= split.rules.explained_share
+    named = claim.kind == "effects" and explains
+    reasons = [_probabilities(claim, posterior)]
+    if claim.kind == "effects" and not explains:
+        reasons.append(Reason("only a part", claim.effects))
+    if claim.present:
+        there = {effect: posterior.present(effect) for effect in claim.present}
+        reasons.append(Reason("whatever else", claim.present, there))
+    elif found.missing and not named:
+        clues = {m.key: posterior.present(m.key) for m in found.missing}
+        reasons.append(Reason("clue", tuple(clues), clues))
+    if claim.kind == "unknown" and posterior.description is not None:
+        reasons.append(Reason("nearest form", (posterior.description,)))
+    reasons += [_errors(split, found), *_in_turn(found)]
+    for missing in found.missing if named else ():
         reasons += _about(missing, found, split, library)
-    reasons += [*_clue(found, split), *_at_bound(found.final)]
-    quiet = _quiet(split, found.final, rest)
-    if found.description is not None:
-        reasons.append(_described(found, found.description))
-        return Verdict("unknown_memory", (), tuple(reasons), found.share)
-    if not found.missing:
-        return _nothing_named(split, rest, quiet, reasons, smallest_seen)
-    sets = tuple(m.could_be for m in found.missing)
-    measured = all(library[k].place == "sensor" for names in sets for k in names)
-    if not quiet and not _enough(split, found, measured):
-        reasons.append(Reason("only a part"))
-        named = found.share is not None and found.share >= split.rules.named_share
-        return Verdict(_unknown(split, rest), sets if named else (), tuple(reasons), found.share)
-    if not quiet:
-        reasons.append(Reason("equations not exact"))
-    kind: Kind = "one_of"
-    if measured:
-        kind = "measurement"
-    elif all(same_form(names, library) for names in sets):
-        kind = "explained"
-    return Verdict(kind, sets, tuple(reasons), found.share)
-
-
-def _nothing_named(
-    split: Split,
-    rest: Unexplained,
-    quiet: bool,
-    reasons: list[Reason],
-    smallest_seen: Sequence[Detectable],
-) -> Verdict:
-    if quiet:
+    if named and (left := posterior.discrepancy) is not None and left.kind != "none":
+        size = {"size": left.size * posterior.response, "share": left.size}
+        reasons.append(Reason("equations not exact", (), size))
+    reasons += _at_bound(found.final)
+    if claim.kind == "nothing":
         seen = tuple(sorted(smallest_seen, key=lambda d: d.key))
         return Verdict("nothing_missing", (), tuple(reasons), None, seen)
-    kind = _unknown(split, rest)
-    if kind == "measurement":
-        alike = _SENSORS[rest.best.kind]
-        reasons.append(Reason("form of no sensor", alike))
-        return Verdict(kind, (alike,), tuple(reasons))
-    return Verdict(kind, (), tuple(reasons))
+    if named:
+        return Verdict(_named(claim.sets, library), claim.sets, tuple(reasons), found.share)
+    # By one description that has memory; otherwise by what the final model leaves.
+    described = claim.kind == "unknown" and posterior.description is not None
+    kind = "unknown_memory" if described else _unknown(rest, posterior.discrepancy)
+    return Verdict(kind, (), tuple(reasons), found.share)
 
 
-def _enough(split: Split, found: Found, measured: bool) -> bool:
-    """Whether the effects remove enough of the misfit to be called the explanation."""
-    rules, enough = split.rules, split.rules.named_share
-    if split.has_noise:
-        linear = found.final.model.linear and not measured
-        enough = rules.linear_share if linear else rules.explained_share
-    return found.share is None or found.share >= enough
+def _named(sets: Sequence[Sequence[str]], library: Mapping[str, type[Effect]]) -> Kind:
+    """Kind of verdict that names effects."""
+    if all(library[name].place == "sensor" for names in sets for name in names):
+        return "measurement"
+    return "explained" if all(same_form(names, library) for names in sets) else "one_of"
 
 
-def _quiet(split: Split, final: Candidate, rest: Unexplained) -> bool:
-    """Whether the model leaves nothing that a library-free torque could explain."""
-    floor = split.noise_floor()
-    if floor is not None:
-        chance = np.sqrt(2 / effective_samples(final.fitted))
-        slack = 1 + 3 * max(split.floor_uncertainty(), chance)
-        if final.fitted.error <= floor * slack and rest.share < split.rules.quiet_share:
-            return True
-    return rest.best.kind == "none"
+def _unknown(rest: Unexplained, discrepancy: Discrepant | None) -> Kind:
+    """Kind of a torque that nothing names: one for all trials, as far as there is one."""
+    if rest.best.kind != "none" or discrepancy is None:
+        return _UNKNOWN[rest.best.kind]
+    sizes = dict(discrepancy.sizes)
+    differs = max(sizes.pop("inconstant", 0.0), sizes.pop("unrepeatable", 0.0))
+    largest = max(sizes, key=lambda kind: sizes[kind], default="static")
+    return "unrepeatable" if sizes.get(largest, 0.0) < _SHARE * differs else _UNKNOWN[largest]
 
 
-def _unknown(split: Split, rest: Unexplained) -> Kind:
-    """Kind of verdict where no effect that is known explains the misfit."""
-    kind = rest.best.kind
-    if kind in ("sensor", "drift") and (rest.noise_ratio or 1.0) > split.rules.enough_noise:
-        # A filter of the recording leaves only noise; one that leaves more stands for something.
-        kind = next((f.kind for f in rest.families if f.kind not in ("sensor", "drift")), kind)
-    return _UNKNOWN[kind]
+def _probabilities(claim: Claim, posterior: Probabilities) -> Reason:
+    """How probable what is said is; where nothing is named, also the most probable sets."""
+    numbers = {
+        "probability": claim.probability,
+        "nothing": posterior.nothing,
+        "unknown": posterior.none_of_these,
+    }
+    if claim.kind == "effects":
+        names = dict.fromkeys(name for names in claim.sets for name in names)
+        return Reason("probable", tuple(names), numbers)
+    likely = {"+".join(row.effects): row for row in posterior.rows[:_LISTED] if row.effects}
+    numbers |= {keys: row.probability for keys, row in likely.items()}
+    return Reason("not probable enough", tuple(likely), numbers, claim.kind)
 
 
 def _errors(split: Split, found: Found) -> Reason:
@@ -189,64 +189,18 @@ def _in_turn(found: Found) -> list[Reason]:
 def _about(
     missing: Missing, found: Found, split: Split, library: Mapping[str, type[Effect]]
 ) -> list[Reason]:
-    """Why an effect is named, and others are or are not named with it."""
-    name, decisive = missing.name, split.rules.decisive
-    out = []
-    rivals = sorted(
-        (
-            r
-            for r in missing.rivals
-            if r.key not in missing.could_be and np.isfinite(r.evidence) and not r.caveat
-        ),
-        key=lambda r: -r.evidence,
-    )
-    if rivals and rivals[0].evidence > -decisive and name in library[rivals[0].key].refines:
-        out.append(Reason("richer form not needed", (rivals.pop(0).key, name)))
-    if rivals:
-        worse = {"evidence": -rivals[0].evidence}
-        out.append(Reason("next best", (rivals[0].key, name), worse))
-    out += [_caveat(r, name) for r in missing.rivals if r.caveat and r.evidence > -decisive]
+    """What is next best to an effect, what is of its form, and what its values say against it."""
+    name, out = missing.name, []
+    others = [r for r in missing.rivals if r.key not in missing.could_be]
+    if others:
+        numbers = {"evidence": -others[0].evidence, "probability": others[0].probability}
+        out.append(Reason("next best", (others[0].key, name), numbers))
     if split.driven == "torque" and (doubt := missing.effect.doubt(found.final.values)):
         out.append(Reason("doubt", (missing.key,), {}, doubt))
-    better = [r.key for r in missing.equals if r.evidence > decisive]
-    if better and not split.has_noise:
-        out.append(Reason("more parameters", (better[0], name)))
     same = tuple(k for k in missing.could_be[1:] if k in library[name].equivalent)
     if same:
         out.append(Reason("same form", (name, *same)))
-    later = [r.key for r in missing.equals if r.refitted is not None and r.key not in missing.near]
-    if later:
-        out.append(Reason("only prediction worse", (name, *later)))
-    near = [
-        r.key
-        for r in missing.equals
-        if r.key in missing.near and abs(r.evidence) > decisive and r.key not in same
-    ]
-    if near and split.has_noise:
-        out.append(Reason("equations hide", (name, *near), {"form": split.rules.form}))
     return out
-
-
-def _caveat(rival: Ranked, instead_of: str) -> Reason:
-    kind: Literal["objection", "doubt"] = "objection" if rival.objection else "doubt"
-    numbers = {"evidence": rival.evidence}
-    return Reason(kind, (rival.key, instead_of), numbers, rival.caveat)
-
-
-def _clue(found: Found, split: Split) -> list[Reason]:
-    """What would lower the error a little more, and is not named."""
-    last = found.rankings[-1] if found.rankings else None
-    if last is None or last.before is not found.final:
-        return []
-    for r in last.ranked:
-        unmoved = r.refusal == "disagrees" and abs(r.held_out_gain) < split.rules.unmoved
-        if unmoved or r.refusal in ("only mends", "too little", "objection"):
-            numbers = {"error": r.candidate.fitted.error, **r.own_values}
-            if r.candidate.held_out.by_trial:
-                numbers["held_out"] = r.candidate.held_out.error
-            why = r.objection if r.refusal == "objection" else r.refusal
-            return [Reason("clue", (r.key,), numbers, why)]
-    return []
 
 
 def _at_bound(final: Candidate) -> list[Reason]:
@@ -257,12 +211,3 @@ def _at_bound(final: Candidate) -> list[Reason]:
         if name in final.at_bound
         and final.values[name] > _NONE * final.model.parameters[name].nominal
     ]
-
-
-def _described(found: Found, description: Ranked) -> Reason:
-    replaced = [m.key for m in found.replaced_by(description)]
-    rival = description.candidate
-    numbers = {"error": rival.fitted.error, "evidence": description.evidence}
-    if rival.held_out.by_trial:
-        numbers["held_out"] = rival.held_out.error
-    return Reason("description", (description.key, *replaced), numbers)

@@ -19,19 +19,9 @@ TITLES = {
     "measurement": "The measurement",
     "unrepeatable": "Not repeatable",
     "nothing_missing": "Nothing missing",
+    "undecided": "Not decided",
 }
 """Kinds of verdict as headings."""
-
-REFUSALS = {
-    "": "",
-    "no fit": "no fit",
-    "no evidence": "no decisive evidence",
-    "disagrees": "the held-out trials do not agree",
-    "too little": "removes too little of what is left",
-    "only mends": "may only mend the equations of the effects before it",
-    "objection": "its values cannot be those of a joint",
-}
-"""Why a candidate is not admitted."""
 
 
 def plain(key: str) -> str:
@@ -49,35 +39,29 @@ def listed(words: Sequence[str]) -> str:
 def verdict_sentence(findings: Findings) -> str:
     """The verdict in one or two sentences."""
     verdict, found, library = findings.verdict, findings.found, findings.library
+    reasons = {r.kind: r for r in verdict.reasons}
     rest = unexplained_sentence(findings.unexplained_after)
-    unsure = next((r for r in verdict.reasons if r.kind == "not probable enough"), None)
-    if verdict.kind == "nothing_missing" and unsure is not None:
-        return _nothing(unsure)
-    if found.description is not None:
-        return _described(findings)
+    if verdict.kind == "undecided":
+        why = findings.failures["probabilities"]
+        return f"What may be missing could not be weighed: {why}. {rest}"
     if verdict.kind == "nothing_missing":
-        return "Nothing is missing that these data could show: the model leaves only noise."
-    beside = next((r for r in verdict.reasons if r.kind == "whatever else"), None)
-    if beside is not None:
-        there = listed([library[key].title for key in beside.effects])
+        return _nothing(reasons["not probable enough"])
+    if "only a part" in reasons:
+        best = listed([library[key].title for key in reasons["only a part"].effects])
+        share = 100 * (found.share or 0.0)
+        return (
+            f"None of the effects known here explains the misfit: the most probable, {best}, "
+            f"removes {share:.0f} % of it on trials that were not fitted. {rest}"
+        )
+    if "whatever else" in reasons:
+        there = listed([library[key].title for key in reasons["whatever else"].effects])
         return (
             f"Beside {there}, something is missing that no effect known here is sure to be. {rest}"
         )
-    if unsure is not None:
+    if not verdict.sets:
         return f"Something is missing, and no effect known here is sure to be it. {rest}"
-    if not found.missing and verdict.kind == "measurement":
-        return f"It is the measurement, not the joint. {rest}"
-    if not found.missing:
-        return f"Something is missing, and it is none of the effects known here. {rest}"
-    if any(r.kind == "only a part" for r in verdict.reasons):
-        best = listed([library[m.name].title for m in found.missing])
-        share = 100 * (found.share or 0.0)
-        return (
-            f"None of the effects known here explains the misfit: the best, {best}, removes "
-            f"{share:.0f} % of it on trials that were not fitted. {rest}"
-        )
     if verdict.kind == "measurement":
-        titles = listed([library[key].title for key in verdict.effects])
+        titles = listed([_either(names, library) for names in verdict.sets])
         return f"It is the measurement, not the joint: {titles}."
     if verdict.kind == "explained":
         return f"The model misses {listed([_with_equals(s, library) for s in verdict.sets])}."
@@ -141,7 +125,7 @@ def percent(probability: float) -> str:
     return f"{100 * probability:.{digits}f} %"
 
 
-def _probable(reason: Reason) -> str:
+def _probable(reason: Reason, findings: Findings) -> str:
     e = reason.numbers
     return (
         f"The probability of this is {percent(e['probability'])}; that nothing is missing, "
@@ -149,7 +133,7 @@ def _probable(reason: Reason) -> str:
     )
 
 
-def _not_probable(reason: Reason) -> str:
+def _not_probable(reason: Reason, findings: Findings) -> str:
     e = reason.numbers
     parts = [f"nothing is missing, {percent(e['nothing'])}"]
     parts += [f"{likely_set(keys)}, {percent(e[keys])}" for keys in reason.effects]
@@ -174,70 +158,65 @@ def values_in_words(values: Mapping[str, float], units: Mapping[str, str]) -> st
     )
 
 
-def _described(findings: Findings) -> str:
-    """Verdict where a description stands for effects that were found."""
-    found, description = findings.found, findings.found.description
-    assert description is not None
-    replaced = [m.key for m in found.replaced_by(description)]
-    beside = [plain(m.key) for m in found.missing if m.key not in replaced]
-    does = "better than" if description.evidence > findings.split.rules.decisive else "as well as"
-    words = (
-        "Something with memory is missing, and it need be none of the effects known here: "
-        f"{description.effect.title} does {does} {listed([plain(key) for key in replaced])}."
-    )
-    return words + (f" Beside it the model misses {listed(beside)}." if beside else "")
-
-
 def _reason(reason: Reason, findings: Findings) -> str:
-    if reason.kind == "only a part":
-        return (
-            "Named effects that remove only a part may stand for something else: treat them as a "
-            "clue."
-        )
-    if reason.kind == "errors":
-        return _errors(reason, findings)
-    if reason.kind == "probable":
-        return _probable(reason)
-    if reason.kind == "not probable enough":
-        return _not_probable(reason)
-    if reason.kind == "whatever else":
-        each = [f"{plain(key)} {percent(p)}" for key, p in reason.numbers.items()]
-        return (
-            f"Whatever else is missing, these are there: {listed(each)}. They may stand for a part"
-            " of what is unknown: treat them as a clue."
-        )
-    if reason.kind == "nearest form":
-        nearest = DESCRIPTIONS[reason.effects[0]].title
-        return f"In form it comes nearest to {nearest}, which names no mechanism."
-    if reason.kind == "removes in turn":
-        return _in_turn(reason, findings)
-    if reason.kind == "clue":
-        return _clue(reason, findings)
-    if reason.kind == "equations not exact":
-        rest = findings.unexplained_after
-        if rest.share > findings.split.rules.trace_share:
-            return f"The equations are not exact: {unexplained_sentence(rest)}"
-        return "The equations are not exact, and what they leave is of no form known here."
-    if reason.kind == "edge of bounds":
-        name, unit = reason.remark, findings.found.final.model.parameters[reason.remark].unit
-        value = with_unit(f"{reason.numbers['value']:.3g}", unit)
-        return (
-            f"{name} lies at the edge of the values that it was allowed, {value}, and the rest "
-            f"bends to that: if others are possible, allow them with --bounds {name}=LOW:HIGH."
-        )
-    first, *others = [plain(key) for key in reason.effects]
     return {
-        "richer form not needed": _richer,
+        "probable": _probable,
+        "not probable enough": _not_probable,
+        "only a part": _only_a_part,
+        "whatever else": _whatever_else,
+        "clue": _clue,
+        "nearest form": _nearest_form,
+        "errors": _errors,
+        "removes in turn": _in_turn,
         "next best": _next_best,
-        "objection": _caveat,
-        "doubt": _caveat,
-        "more parameters": _more_parameters,
+        "doubt": _doubt,
         "same form": _same_form,
-        "only prediction worse": _only_prediction,
-        "equations hide": _equations_hide,
-        "form of no sensor": _no_sensor,
-        "description": _description,
-    }[reason.kind](reason, first, others, findings)
+        "equations not exact": _not_exact,
+        "edge of bounds": _edge,
+    }[reason.kind](reason, findings)
+
+
+def _only_a_part(reason: Reason, findings: Findings) -> str:
+    return "Effects that remove only a part may stand for something else: treat them as a clue."
+
+
+def _whatever_else(reason: Reason, findings: Findings) -> str:
+    each = [f"{plain(key)} {percent(p)}" for key, p in reason.numbers.items()]
+    return (
+        f"Whatever else is missing, these are there: {listed(each)}. They may stand for a part"
+        " of what is unknown: treat them as a clue."
+    )
+
+
+def _clue(reason: Reason, findings: Findings) -> str:
+    each = [f"{plain(key)} {percent(p)}" for key, p in reason.numbers.items()]
+    return (
+        f"The error is shown with the effects that are most probable: {listed(each)}. None of them"
+        " is sure: treat them as a clue."
+    )
+
+
+def _nearest_form(reason: Reason, findings: Findings) -> str:
+    nearest = DESCRIPTIONS[reason.effects[0]].title
+    return f"In form it comes nearest to {nearest}, which names no mechanism."
+
+
+def _not_exact(reason: Reason, findings: Findings) -> str:
+    e, unit = reason.numbers, "rad" if findings.split.driven == "torque" else "Nm"
+    size = with_unit(f"{e['size']:.2g}", unit)
+    return (
+        f"The equations are not exact: beside them there is {size} that nothing names, "
+        f"{percent(e['share'])} of the response, no more than equations right to a tenth leave."
+    )
+
+
+def _edge(reason: Reason, findings: Findings) -> str:
+    name, unit = reason.remark, findings.found.final.model.parameters[reason.remark].unit
+    value = with_unit(f"{reason.numbers['value']:.3g}", unit)
+    return (
+        f"{name} lies at the edge of the values that it was allowed, {value}, and the rest "
+        f"bends to that: if others are possible, allow them with --bounds {name}=LOW:HIGH."
+    )
 
 
 def _errors(reason: Reason, findings: Findings) -> str:
@@ -262,93 +241,26 @@ def _in_turn(reason: Reason, findings: Findings) -> str:
     return f"Of the misfit of the {trials} trials{noise}, each removes in turn: {'; '.join(said)}."
 
 
-def _clue(reason: Reason, findings: Findings) -> str:
-    """What would lower the error a little more, and is not named."""
-    (key,), e = reason.effects, reason.numbers
-    effect = findings.library[key]
-    units = {f"{key}.{p.name}": p.unit for p in effect.parameters}
-    values = values_in_words({n: v for n, v in e.items() if n in units}, units)
-    held = f"{e['held_out']:.3g}" if "held_out" in e else "unknown"
-    lower = f"With {plain(key)} too, E would fall to {e['error']:.3g}"
-    if reason.remark == "only mends":
-        return (
-            f"{lower}; but equations that are right to a tenth leave as much, so that this is at "
-            "most a clue."
-        )
-    if reason.remark == "too little":
-        there = f" and to {held} on the held-out trials" if "held_out" in e else ""
-        return (
-            f"{lower}{there} ({values}); that is too little of what is left to be more than a clue."
-        )
-    if reason.remark == "disagrees":
-        return (
-            f"{lower} ({values}); but the held-out trials are predicted neither better nor worse "
-            f"({held}), so that this is at most a clue."
-        )
-    return f"{lower}; but {reason.remark}, so that it would stand for something else."
-
-
-def _richer(reason: Reason, first: str, others: Sequence[str], findings: Findings) -> str:
+def _next_best(reason: Reason, findings: Findings) -> str:
+    first, name = map(plain, reason.effects)
+    e = reason.numbers
     return (
-        f"A {first}, a richer form of the {others[0]}, does no better: the data do not ask for it."
+        f"In the place of {name} the next best is {first}: its log evidence is less by "
+        f"{e['evidence']:.1f} nats, its probability {percent(e['probability'])}."
     )
 
 
-def _next_best(reason: Reason, first: str, others: Sequence[str], findings: Findings) -> str:
+def _doubt(reason: Reason, findings: Findings) -> str:
     return (
-        f"In the place of {others[0]} the next best is {first}, worse by "
-        f"{reason.numbers['evidence']:.0f} (more than {findings.split.rules.decisive:.0f} is "
-        "decisive)."
+        f"Of the {plain(reason.effects[0])}, {reason.remark}: it may stand for something quicker."
     )
 
 
-def _caveat(reason: Reason, first: str, others: Sequence[str], findings: Findings) -> str:
-    if others:
-        return f"With {first} in the place of {others[0]}, {reason.remark}."
-    return f"Of the {first}, {reason.remark}: it may stand for something quicker."
-
-
-def _more_parameters(reason: Reason, first: str, others: Sequence[str], findings: Findings) -> str:
-    return (
-        f"With more parameters, {first} leaves less still, but what the {others[0]} leaves may be "
-        "error of measurement."
-    )
-
-
-def _same_form(reason: Reason, first: str, others: Sequence[str], findings: Findings) -> str:
+def _same_form(reason: Reason, findings: Findings) -> str:
+    first, *others = map(plain, reason.effects)
     return (
         f"{first.capitalize()} and {listed(others)} are of one form: torque and angle can never "
         "tell them apart."
-    )
-
-
-def _only_prediction(reason: Reason, first: str, others: Sequence[str], findings: Findings) -> str:
-    return (
-        f"With {' or '.join(others)} in the place of {first} the held-out trials are predicted "
-        "worse, but fitted as well when all trials are: such a prediction rests on parameters that "
-        "the other trials leave open."
-    )
-
-
-def _equations_hide(reason: Reason, first: str, others: Sequence[str], findings: Findings) -> str:
-    return (
-        f"In the place of {first} there may be {listed(others)}: what is left is the same but for "
-        f"{100 * reason.numbers['form']:.0f} % of what it removes, and equations that are right to "
-        "a tenth do not tell them apart."
-    )
-
-
-def _no_sensor(reason: Reason, first: str, others: Sequence[str], findings: Findings) -> str:
-    return f"Its form is not that of {listed([first, *others])} as known here."
-
-
-def _description(reason: Reason, first: str, others: Sequence[str], findings: Findings) -> str:
-    held = ""
-    if "held_out" in reason.numbers:
-        held = f" and {reason.numbers['held_out']:.3g} on those held out"
-    return (
-        f"With {first} in the place of {listed(others)}, E is {reason.numbers['error']:.3g} on the "
-        f"fitted trials{held}."
     )
 
 

@@ -2,13 +2,13 @@
 
 At a candidate size the trials are predicted with the effect, and the smaller model is fitted to
 that prediction: what it cannot absorb is the effect's trace. The trace, made shorter by bad luck
-with the noise, is then held to the search's own rules, and the size found by bisection.
+with the noise, must then be evidence enough to be claimed, and the size is found by bisection.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -21,7 +21,6 @@ from identifiability.inference.starts import starting_values
 from identifiability.investigation.fits.bench import Workbench
 from identifiability.investigation.fits.candidate import NOTHING, Candidate, Residual
 from identifiability.investigation.fits.independent import effective_samples
-from identifiability.investigation.search.gate import Gate
 from identifiability.joint.effects.base import Effect
 from identifiability.joint.model import Model
 
@@ -63,12 +62,12 @@ def detectable(
     r"""Smallest effects that would have been seen beside a fitted model.
 
     The noise is what the model leaves. With :math:`\lambda` the evidence that the effect's trace
-    is expected to have, that of one draw of the noise is :math:`(\sqrt\lambda + z)^2` with z
-    standard normal: the noise lengthens or shortens the trace that is fitted. In held-out trials
-    the trace is predicted, not fitted, and their evidence is :math:`\lambda + 2 z \sqrt\lambda`.
-    An effect counts as seen where it is admitted with a z of minus ``rules.bad_luck``, in all
-    trials together and in those that are held out alone. At a third of its size its evidence is a
-    ninth, and chance seldom makes up for that.
+    is expected to have, twice its log likelihood, that of one draw of the noise is
+    :math:`(\sqrt\lambda + z)^2` with z standard normal: the noise lengthens or shortens the trace
+    that is fitted. An effect counts as seen where with a z of minus ``rules.bad_luck`` the
+    evidence, less the logarithm of the number of samples for each parameter, raises its probability
+    from one among all effects of the library and the unknown to ``rules.claimed``. At a third of
+    its size its evidence is a ninth, and chance seldom makes up for that.
 
     Effects that stay invisible at any size are left out.
 
@@ -87,7 +86,7 @@ def detectable(
             model = candidate.model + kind()
         except InputError:  # it does not go with an effect that is there
             continue
-        one = _Hidden(bench, candidate, model, key).smallest()
+        one = _Hidden(bench, candidate, model, key, len(library)).smallest()
         if one is not None:
             found.append(one)
     return tuple(found)
@@ -105,12 +104,15 @@ class _Hidden:
     model : Model
         The model with it.
     key : str
+    n_effects : int
+        Number of effects that could be tried.
     """
 
     bench: Workbench
     candidate: Candidate
     model: Model
     key: str
+    n_effects: int
 
     @cached_property
     def sizes(self) -> list[str]:
@@ -242,62 +244,35 @@ class _Trace:
     held_out: Residual
 
     @cached_property
-    def expected(self) -> tuple[float, float]:
-        """Evidence that it is expected to have in the fitted and in the held-out trials."""
+    def expected(self) -> float:
+        """Evidence that it is expected to have, of all trials."""
         candidate = self.of.candidate
         pairs = ((candidate.fitted, self.fitted), (candidate.held_out, self.held_out))
-        fitted, held_out = (
+        return sum(
             effective_samples(noise, trace) * float(np.log1p(trace.weighted / noise.weighted))
             if trace.by_trial and trace.weighted > 0
             else 0.0
             for noise, trace in pairs
         )
-        return fitted, held_out
+
+    @cached_property
+    def needed(self) -> float:
+        """Evidence from which the effect is probable enough to be claimed."""
+        of, rules = self.of, self.of.bench.rules
+        extra = len(of.problems[1][0].free) - self.start.size
+        odds = rules.claimed / (1 - rules.claimed) * (of.n_effects + 1)
+        return float(2 * np.log(odds) + extra * np.log(of.candidate.fitted.n_samples))
 
     @property
     def short_of(self) -> float:
         """About how many times stronger the effect would have to be to be seen."""
-        extra = len(self.of.problems[1][0].free) - self.start.size
-        rules = self.of.bench.rules
-        needed = rules.decisive + extra * np.log(self.of.candidate.fitted.n_samples)
-        root = rules.bad_luck + np.sqrt(rules.bad_luck**2 + needed)
-        return float(root / np.sqrt(max(sum(self.expected), 1e-12)))
+        root = self.of.bench.rules.bad_luck + np.sqrt(self.needed)
+        return float(root / np.sqrt(max(self.expected, 1e-12)))
 
     @property
     def seen(self) -> bool:
-        """Whether the search would admit it, with bad luck in all trials, or in those held out."""
-        fitted, held_out = self.expected
-        luck = self.of.bench.rules.bad_luck
-
-        both = max(0.0, 1 - luck / np.sqrt(max(fitted + held_out, 1e-12)))
-        if not self.held_out.by_trial:
-            return self._admitted(both, 1.0)
-        if not self._admitted(both, both):
-            return False
-        left = held_out - 2 * luck * np.sqrt(held_out)
-        return left > 0 and self._admitted(1.0, float(np.sqrt(left / held_out)))
-
-    def _admitted(self, fitted: float, held_out: float) -> bool:
-        """Whether it passes the gate where so much of the trace is left by the noise."""
-        candidate, of = self.of.candidate, self.of
-        larger = replace(
-            candidate, model=of.model, values=self.values, free=of.problems[1][0].names
-        )
-        smaller = replace(
-            candidate,
-            fitted=_added(candidate.fitted, self.fitted, fitted),
-            held_out=_added(candidate.held_out, self.held_out, held_out),
-        )
-        return Gate(of.bench, candidate).judge(of.key, larger, smaller, larger).passes
-
-
-def _added(noise: Residual, trace: Residual, share: float) -> Residual:
-    """The noise with a share of a trace, to which it is taken to be orthogonal."""
-    if not trace.by_trial:
-        return noise
-    rows = tuple(e + share * t for e, t in zip(noise.by_trial, trace.by_trial, strict=True))
-    errors = noise.errors + share**2 * trace.errors
-    return Residual(rows, errors, noise.weighted + share**2 * trace.weighted)
+        """Whether it would be claimed, with bad luck."""
+        return self.short_of <= 1
 
 
 def _refit(problem: Problem, target: np.ndarray, starts: list[np.ndarray]) -> np.ndarray:

@@ -1,0 +1,168 @@
+"""The model that was found, effect by effect: fitted to trials on which it can then be judged.
+
+The probabilities are of all trials, those that are held out too. Errors are quoted of fits by
+least squares to the others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+from identifiability.inference.starts import starting_values
+from identifiability.investigation.fits.bench import Workbench
+from identifiability.investigation.fits.candidate import NOTHING, Candidate, unfitted
+from identifiability.investigation.ladder.errors import removed_share
+from identifiability.investigation.ladder.found import Found, Missing, Tried
+from identifiability.investigation.posterior.claim import Claim
+from identifiability.investigation.posterior.probabilities import Probabilities
+from identifiability.joint.effects import Effect
+from identifiability.progress import Progress, silent
+
+Keys = tuple[str, ...]
+
+
+def found_of(
+    bench: Workbench,
+    baseline: Candidate,
+    posterior: Probabilities,
+    claim: Claim,
+    library: Mapping[str, type[Effect]],
+    *,
+    progress: Progress = silent,
+) -> Found:
+    """Fit the model that a claim speaks of, rung by rung, and gather what else was tried.
+
+    Parameters
+    ----------
+    bench : Workbench
+    baseline : Candidate
+        The model that the effects were added to.
+    posterior : Probabilities
+    claim : Claim
+    library : mapping of str to type of Effect
+        Effects that were tried.
+    progress : callable
+        Told ``(what, done, total)``.
+    """
+    climb = _Climb(bench, baseline, posterior, claim, library, progress)
+    final, missing = climb.final_and_missing()
+    alone, n = climb.alone(), len(posterior.sets)
+    if final.failure:
+        return Found(baseline, alone, baseline, (), None, n, final.failure)
+    return Found(baseline, alone, final, missing, removed_share(bench.split, baseline, final), n)
+
+
+@dataclass(frozen=True, eq=False)
+class _Climb:
+    bench: Workbench
+    baseline: Candidate
+    posterior: Probabilities
+    claim: Claim
+    library: Mapping[str, type[Effect]]
+    progress: Progress
+
+    def alone(self) -> tuple[Tried, ...]:
+        """Every effect beside the baseline, best first."""
+        known, failed = [], []
+        for key, kind in self.library.items():
+            if key in self.baseline.keys:
+                continue
+            if (key,) in self.posterior.sets:
+                known.append(self._tried(key, (key,), ()))
+            elif key in self.posterior.failures:
+                model = self.baseline.model + kind()
+                nothing = Candidate(model, {}, (), NOTHING, NOTHING)
+                failed.append(Tried(key, nothing, 0.0, 1.0, 0.0, self.posterior.failures[key]))
+        return (*sorted(known, key=lambda t: -t.evidence), *failed)
+
+    def _tried(self, key: str, keys: Keys, against: Keys) -> Tried:
+        one, other = self.posterior.sets[keys], self.posterior.sets[against]
+        return Tried(
+            key,
+            one.candidate,
+            one.log_evidence - other.log_evidence,
+            one.error,
+            self.posterior.of(keys),
+        )
+
+    def final_and_missing(self) -> tuple[Candidate, tuple[Missing, ...]]:
+        """The final model, and its effects in the order of the ladder."""
+        keys = tuple(sorted(self.claim.effects))
+        if not keys:
+            return self.baseline, ()
+        order = self._order(keys)
+        rungs = [tuple(sorted(order[: i + 1])) for i in range(len(order))]
+        rests = [tuple(k for k in keys if k != key) for key in order]
+        wanted = list(dict.fromkeys([*rungs[:-1], *(r for r in rests if r)]))
+        final = self.bench.finish(self.posterior.sets[keys].candidate)
+        if final.failure:
+            return final, ()
+        fits: dict[Keys, Candidate] = {(): self.baseline}
+        for i, one in enumerate(wanted):
+            self.progress(f"fitting {' + '.join(['K, B, I', *one])}", i, len(wanted) + 1)
+            fits[one] = self._fit(one, final)
+        fits[keys] = self._at_least(final, fits[rungs[-2]]) if len(rungs) > 1 else final
+        out: list[Missing] = []
+        before: float | None = 0.0
+        for key, rung, rest in zip(order, rungs, rests, strict=True):
+            removed = removed_share(self.bench.split, self.baseline, fits[rung])
+            share = None if removed is None or before is None else removed - before
+            out.append(
+                Missing(
+                    fits[keys].model.effect(key),
+                    fits[rung],
+                    fits[rest],
+                    self._rivals(key, keys),
+                    next((names for names in self.claim.sets if key in names), (key,)),
+                    share,
+                )
+            )
+            before = removed
+        return fits[keys], tuple(out)
+
+    def _order(self, keys: Keys) -> list[str]:
+        """Effects of a set, at every rung the one with which the model is most probable."""
+        order: list[str] = []
+        left = list(keys)
+        while left:
+            weighed = {
+                key: self.posterior.sets[found].log_evidence
+                for key in left
+                if (found := tuple(sorted((*order, key)))) in self.posterior.sets
+            }
+            # A set that was not weighed left little to hope for.
+            order.append(max(weighed, key=lambda key: weighed[key]) if weighed else left[0])
+            left.remove(order[-1])
+        return order
+
+    def _fit(self, keys: Keys, final: Candidate) -> Candidate:
+        """A smaller model, from where it was weighed, or from the final model's values."""
+        if keys in self.posterior.sets:
+            return self.bench.finish(self.posterior.sets[keys].candidate)
+        model = final.model
+        for key in final.keys:
+            if key not in (*keys, *self.baseline.keys):
+                model = model.without(key)
+        values = {name: final.values[name] for name in model.parameter_names}
+        refined = [key for key in final.refined if key in model.effect_keys]
+        return self.bench.finish(unfitted(model, [values], refined))
+
+    def _at_least(self, final: Candidate, rung: Candidate) -> Candidate:
+        """The final model, which leaves no more than a rung of its ladder does."""
+        if rung.failure or final.fitted.weighted <= rung.fitted.weighted:
+            return final
+        starts: Sequence[Mapping[str, float]] = starting_values(final.model, rung.values)
+        again = self.bench.fit(final.model, starts, refined=final.refined)
+        better = not again.failure and again.fitted.weighted < final.fitted.weighted
+        return again if better else final
+
+    def _rivals(self, key: str, keys: Keys) -> tuple[Tried, ...]:
+        """What was weighed in the place of an effect of the final model, best first."""
+        rest = {k for k in keys if k != key}
+        tried = [
+            self._tried(next(iter(set(one) - rest)), one, keys)
+            for one in self.posterior.sets
+            if len(one) == len(keys) and one != keys and rest < set(one)
+        ]
+        return tuple(sorted(tried, key=lambda t: -t.evidence))

@@ -1,1 +1,0 @@
-"""Which effects are believed to be missing: candidates added, judged, swapped and dropped."""
