@@ -20,12 +20,12 @@ from identifiability.inference.problem import Problem
 from identifiability.inference.starts import starting_values
 from identifiability.investigation.fits.bench import Workbench
 from identifiability.investigation.fits.candidate import NOTHING, Candidate, Residual
-from identifiability.investigation.fits.independent import effective_samples
 from identifiability.joint.effects.base import Effect
 from identifiability.joint.model import Model
 
 _FIRST = 0.01  # share of the nominal size that the bracket is looked for from
 _STRIDE, _CLOSE = 8.0, 1.05  # largest step of that, and ratio of the bracket's ends at its end
+_SMOOTHED = 7  # lines of a spectrum that a noise's colour tells apart as one
 _EVALUATIONS = 20  # of one refit of the smaller model
 _SOLVER_SHARE = 0.01  # of a trace's square that the error of its integration may have
 
@@ -61,13 +61,16 @@ def detectable(
 ) -> tuple[Detectable, ...]:
     r"""Smallest effects that would have been seen beside a fitted model.
 
-    The noise is what the model leaves. With :math:`\lambda` the evidence that the effect's trace
-    is expected to have, twice its log likelihood, that of one draw of the noise is
-    :math:`(\sqrt\lambda + z)^2` with z standard normal: the noise lengthens or shortens the trace
-    that is fitted. An effect counts as seen where with a z of minus ``rules.bad_luck`` the
-    evidence, less the logarithm of the number of samples for each parameter, raises its probability
-    from one among all effects of the library and the unknown to ``rules.claimed``. At a third of
-    its size its evidence is a ninth, and chance seldom makes up for that.
+    The noise is what the model leaves. Its colour is not known beforehand, so that a trace counts
+    for no more than a noise with the spectrum of both would have to explain:
+    :math:`\lambda = \sum \log(1 + T/N)` over all frequencies, with T and N the spectra of trace
+    and noise (Whittle 1953, Ark Mat 2:423-434). In one draw of the noise this is
+    :math:`(\sqrt\lambda + z)^2` with z standard normal: the noise lengthens or shortens the trace.
+    An effect counts as seen where with a z of minus ``rules.bad_luck`` the evidence raises its
+    probability from one among all effects of the library and the unknown to ``rules.claimed``. From
+    the evidence is taken what the prior takes: of its size, which may as well make all of the
+    response, the ratio of what it may be to what the data leave open; a nat for every other
+    parameter. At a third of its size its evidence is a ninth, and chance seldom makes up for that.
 
     Effects that stay invisible at any size are left out.
 
@@ -218,7 +221,10 @@ class _Hidden:
             self.bench.unstacked(problem, white, part)
             for problem, white, part in zip(without, left, parts, strict=False)
         ]
-        return _Trace(self, values, x, traces[0], traces[1] if len(traces) > 1 else NOTHING)
+        made = without[0].residuals(self.model_free_start) - predicted[0]
+        share = np.sqrt(self.bench.unstacked(without[0], made, parts[0]).error)
+        held_out = traces[1] if len(traces) > 1 else NOTHING
+        return _Trace(self, values, x, traces[0], held_out, max(float(share), 1e-12))
 
     def _softened(self, values: Mapping[str, float]) -> np.ndarray:
         """Where springs in series with the muscle take K and B of the model without them."""
@@ -235,33 +241,46 @@ class _Hidden:
 
 @dataclass(frozen=True, eq=False)
 class _Trace:
-    """What the smaller model cannot absorb of an effect, and whether that would be seen."""
+    """What the smaller model cannot absorb of an effect, and whether that would be seen.
+
+    Attributes
+    ----------
+    of : _Hidden
+    values : mapping of str to float
+    start : array
+        Where the smaller model's fit ended.
+    fitted, held_out : Residual
+        What it leaves.
+    share : float
+        Of the response, root mean square, that the effect makes before anything is absorbed.
+    """
 
     of: _Hidden
     values: Mapping[str, float]
     start: np.ndarray
     fitted: Residual
     held_out: Residual
+    share: float
 
     @cached_property
     def expected(self) -> float:
-        """Evidence that it is expected to have, of all trials."""
+        """Evidence that it is expected to have, twice its log likelihood, of all trials."""
         candidate = self.of.candidate
         pairs = ((candidate.fitted, self.fitted), (candidate.held_out, self.held_out))
         return sum(
-            effective_samples(noise, trace) * float(np.log1p(trace.weighted / noise.weighted))
-            if trace.by_trial and trace.weighted > 0
-            else 0.0
-            for noise, trace in pairs
+            _evidence(trace, noise)
+            for residual, part in pairs
+            for trace, noise in zip(part.by_trial, residual.by_trial, strict=False)
         )
 
     @cached_property
     def needed(self) -> float:
         """Evidence from which the effect is probable enough to be claimed."""
         of, rules = self.of, self.of.bench.rules
-        extra = len(of.problems[1][0].free) - self.start.size
         odds = rules.claimed / (1 - rules.claimed) * (of.n_effects + 1)
-        return float(2 * np.log(odds) + extra * np.log(of.candidate.fitted.n_samples))
+        others = len(of.problems[1][0].free) - self.start.size - 1
+        size = np.log(np.sqrt(max(self.expected, 1.0)) / self.share)
+        return float(2 * (np.log(odds) + max(size, 0.0) + others))
 
     @property
     def short_of(self) -> float:
@@ -273,6 +292,16 @@ class _Trace:
     def seen(self) -> bool:
         """Whether it would be claimed, with bad luck."""
         return self.short_of <= 1
+
+
+def _evidence(trace: np.ndarray, noise: np.ndarray) -> float:
+    """Twice the log likelihood that a noise of unknown colour leaves to a trace."""
+    around = np.ones(_SMOOTHED) / _SMOOTHED
+    powers = [
+        np.convolve(np.abs(np.fft.fft(values - values.mean())) ** 2, around, mode="same")
+        for values in (trace, noise)
+    ]
+    return float(np.sum(np.log1p(powers[0] / np.maximum(powers[1], 1e-300))))
 
 
 def _refit(problem: Problem, target: np.ndarray, starts: list[np.ndarray]) -> np.ndarray:

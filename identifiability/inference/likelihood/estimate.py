@@ -8,7 +8,7 @@ than it is, and intervals are too narrow.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 from typing import Any, NamedTuple
@@ -117,6 +117,14 @@ class NoiseEstimate:
     def carried_sd(self) -> float:
         """Standard deviation of the other channel's noise [Nm or rad] at level 1; 0 without."""
         return 0.0 if self.carried is None else self.carried.sd
+
+    def louder(self, factor: float) -> NoiseEstimate:
+        """The same noise, so many times larger."""
+        own = replace(self.own, sd=factor * self.own.sd)
+        carried = self.carried
+        if carried is not None:
+            carried = replace(carried, sd=factor * carried.sd)
+        return replace(self, own=own, carried=carried, rms=factor * self.rms)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain record, for JSON."""

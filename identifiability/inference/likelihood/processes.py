@@ -87,8 +87,15 @@ class ProcessSum:
 
     parts: Sequence[Process]
 
-    def whitening(self, n: int) -> Whitening:
-        """What turns up to `n` samples of the noise into independent ones of variance 1."""
+    def whitening(self, n: int, beside: np.ndarray | None = None) -> Whitening:
+        """What turns up to `n` samples of the noise into independent ones of variance 1.
+
+        Parameters
+        ----------
+        n : int
+        beside : array, shape (n,), optional
+            Variances of noise that is independent from sample to sample, and is there as well.
+        """
         ar = self.parts[0].ar
         for part in self.parts[1:]:
             ar = np.convolve(ar, part.ar)
@@ -100,13 +107,15 @@ class ProcessSum:
             moving.append(part.sd * ma)
         head = ar.size - 1
         width = max(head, *(ma.size - 1 for ma in moving))
-        rows = min(n, _CONVERGED + width)
+        rows = n if beside is not None else min(n, _CONVERGED + width)
         band = np.zeros((width + 1, rows))
         for part, ma in zip(self.parts, moving, strict=True):
             lagged = np.correlate(ma, ma, "full")[ma.size - 1 :]
             band[: ma.size, head:] += lagged[:, None]
             if head:
                 band[:, :head] += _beginning(part, ma, head, width)[:, : min(head, rows)]
+        if beside is not None:
+            _add_filtered(band, ar, beside)
         factor = _factor(band)
         if n > rows:
             # Where the band ends, columns lack what would follow: the last whole one repeats.
@@ -116,6 +125,19 @@ class ProcessSum:
                 axis=1,
             )
         return Whitening(ar, factor)
+
+
+def _add_filtered(band: np.ndarray, ar: np.ndarray, variances: np.ndarray) -> None:
+    """Add the covariance of independent noise behind an autoregression to a band."""
+    n, head = variances.size, ar.size - 1
+    for lag in range(min(head, n - 1) + 1):
+        # Of samples `lag` apart, by the shocks that both have; the first samples are not filtered.
+        for i in range(head - lag + 1):
+            later = np.arange(i + lag, n)
+            both = (later - lag >= head) | (i == 0)
+            both &= (later >= head) | (i + lag == 0)
+            shared = ar[i] * ar[i + lag] * variances[later - i - lag]
+            band[lag, later - lag] += np.where(both, shared, 0.0)
 
 
 def _factor(band: np.ndarray) -> np.ndarray:
@@ -177,6 +199,20 @@ class Whitening:
             raise np.linalg.LinAlgError("a noise without variance")
         found: np.ndarray = white
         return found
+
+    def back(self, white: np.ndarray) -> np.ndarray:
+        """The transpose of what whitens, applied to one whitened stretch, shape (n,)."""
+        n, head = white.size, self.ar.size - 1
+        solved, failed = scipy.linalg.lapack.dtbtrs(
+            self.factor[:, :n], white[:, None], uplo="L", trans="T"
+        )
+        if failed:
+            raise np.linalg.LinAlgError("a noise without variance")
+        solved = solved[:, 0]
+        found = solved.copy()
+        for lag in range(1, head + 1):
+            found[head - lag : n - lag] += self.ar[lag] * solved[head:]
+        return np.asarray(found)
 
     def log_determinant(self, n: int) -> float:
         """Logarithm of the determinant of the covariance of `n` samples."""

@@ -18,10 +18,12 @@ from scipy.ndimage import convolve1d, maximum_filter1d, minimum_filter1d
 from identifiability.errors import InputError
 from identifiability.inference.problem import Observation, Prior, Problem
 from identifiability.inference.starts import plain_values
+from identifiability.investigation.posterior import between
 from identifiability.investigation.split import owners, pieces, roomy
 from identifiability.joint.model import Model
 from identifiability.joint.scheme import Scheme
 from identifiability.measurement.filtering import (
+    HIGHEST_HZ,
     Lowpass,
     cutoff,
     known_noise,
@@ -59,6 +61,8 @@ class Band:
         Standard deviation [rad] of the white noise that an imposed angle is known to have.
     step : float
         To multiples of which the angle was rounded [rad]; 0 where it was not.
+    changed : tuple of tuple of array
+        What leaving out every other sample changes, by trial: see `between`. Of an imposed angle.
     """
 
     prepared: tuple[Prepared, ...]
@@ -67,6 +71,7 @@ class Band:
     room: tuple[int, int] = (0, 0)
     angle_noise: float = 0.0
     step: float = 0.0
+    changed: tuple[tuple[np.ndarray, ...], ...] = ()
 
     @property
     def angle_imposed(self) -> bool:
@@ -102,6 +107,22 @@ class Band:
     def spans(self) -> list[slice]:
         """Of each observation, its place among the samples of its trial, between its ends."""
         return [span for _, span in self._placed]
+
+    def between(self, joint: np.ndarray) -> list[np.ndarray]:
+        """Variance [Nm²] of what is not known between the samples, by stretch.
+
+        Parameters
+        ----------
+        joint : array, shape (3,)
+            K, B and I by which the motion shows in the torque.
+        """
+        if not self.changed:
+            return [np.zeros(chosen.size) for chosen in self.samples]
+        places = [
+            (int(trial), slice(span.start, span.stop, self.every))
+            for trial, span in zip(self.trial, self.spans, strict=True)
+        ]
+        return between.variances(self.changed, joint, places)
 
     @cached_property
     def n_recorded(self) -> int:
@@ -245,27 +266,36 @@ def band_of(
     every = _alike(recorded)
     if lowpass_hz == "auto" and every[0].driven == "angle":
         lowpass_hz = noise_cutoff(every, _CLEAR)
-    fitted = prepare_whole_band(every, lowpass_hz=lowpass_hz)
     step = max(rounding_step(trial.angle) for trial in recorded)
-    band = Band(fitted, 1, dict(bounds or {}), step=step)
-    if fitted[0].trial.driven == "torque":
+    if every[0].driven == "torque":
+        band = Band(prepare_whole_band(every), 1, dict(bounds or {}), step=step)
         n = len(band.observations) if band.n_samples < band.n_recorded else room[0]
         return replace(band, room=(n, room[1]))
-    cutoff_hz, interval = cutoff(every, lowpass_hz), fitted[0].interval
+    cutoff_hz = cutoff(every, lowpass_hz) or HIGHEST_HZ
+    fitted, halves = _moved_by_angles(every, cutoff_hz)
     # What thinning leaves of white noise.
-    noise = known_noise(recorded) / np.sqrt(max(1.0, interval * recorded[0].sampling_rate))
-    if cutoff_hz is None or 1 / interval < _ENOUGH * cutoff_hz:
-        return _with_room(replace(band, angle_noise=noise))
-    noise *= np.sqrt(np.sum(_HALF_BAND**2))
-    return _with_room(
-        replace(band, prepared=tuple(_halved(p) for p in fitted), every=2, angle_noise=noise)
+    rate = fitted[0].trial.sampling_rate
+    noise = known_noise(recorded) / np.sqrt(max(1.0, recorded[0].sampling_rate / rate))
+    if halves:
+        noise *= np.sqrt(np.sum(_HALF_BAND**2))
+    changed = tuple(
+        tuple(between.changes(fitted, _moved_by_angles(between.left_out(every, i), cutoff_hz)[0]))
+        for i in (0, 1)
     )
-
-
-def _with_room(band: Band) -> Band:
-    """The same with room for probes too, in one of few shapes."""
+    band = Band(fitted, 1 + halves, dict(bounds or {}), (0, 0), noise, step, changed)
     longest = max(o.measured.size for o in band.observations)
+    # Room for probes too, in one of few shapes.
     return replace(band, room=(2 * len(band.observations), roomy(longest)))
+
+
+def _moved_by_angles(
+    trials: Sequence[Trial], cutoff_hz: float
+) -> tuple[tuple[Prepared, ...], bool]:
+    """Trials whose angle was imposed, prepared, and whether every other sample is compared."""
+    fitted = prepare_whole_band(trials, lowpass_hz=cutoff_hz)
+    if fitted[0].trial.sampling_rate < _ENOUGH * cutoff_hz:
+        return fitted, False
+    return tuple(_halved(p) for p in fitted), True
 
 
 def _alike(trials: list[Trial]) -> list[Trial]:

@@ -56,6 +56,8 @@ class Weights:
         What a probe is multiplied by to have the size of the noise of the angle; 0 without.
     excess : float
         Sum of squares that this noise adds at the reference joint.
+    between : sequence of array
+        By stretch, variance of what is not known between the samples; none where all of it is.
     """
 
     band: Band
@@ -63,6 +65,7 @@ class Weights:
     contenders: tuple[Contender, ...]
     gain: float = 0.0
     excess: float = 0.0
+    between: Sequence[np.ndarray] = ()
 
     @property
     def n_parameters(self) -> int:
@@ -71,15 +74,25 @@ class Weights:
         return self.contenders[0].order.size + (levels.size - 1) * bool(np.ptp(levels) > 0)
 
     @cached_property
-    def _whitening(self) -> Whitening:
-        return self.estimate.noise.whitening(max(s.size for s in self.band.samples))
+    def _whitenings(self) -> list[Whitening]:
+        """By stretch, for residuals over their trial's level."""
+        noise, levels = self.estimate.noise, self.estimate.levels
+        if not self.between:
+            shared = noise.whitening(max(s.size for s in self.band.samples))
+            return [shared] * len(self.band.samples)
+        return [
+            noise.whitening(extra.size, extra / levels[trial] ** 2)
+            for extra, trial in zip(self.between, self.band.trial, strict=True)
+        ]
 
     def whitened(self, by_stretch: Sequence[np.ndarray]) -> np.ndarray:
         """Columns of all stretches, whitened and without a level in each."""
         return np.concatenate(
             [
-                without_level(self._whitening, columns / self.estimate.levels[trial])[0]
-                for columns, trial in zip(by_stretch, self.band.trial, strict=True)
+                without_level(whitening, columns / self.estimate.levels[trial])[0]
+                for whitening, columns, trial in zip(
+                    self._whitenings, by_stretch, self.band.trial, strict=True
+                )
             ]
         )
 
@@ -87,12 +100,26 @@ class Weights:
     def log_determinant(self) -> float:
         """Of the covariance of all samples, unknown levels of the stretches marginalised."""
         total = 0.0
-        for chosen, trial in zip(self.band.samples, self.band.trial, strict=True):
+        for whitening, chosen, trial in zip(
+            self._whitenings, self.band.samples, self.band.trial, strict=True
+        ):
             level, n = float(self.estimate.levels[trial]), chosen.size
-            length = np.linalg.norm(self._whitening(np.ones((n, 1)))) / level
-            total += self._whitening.log_determinant(n) + 2 * n * np.log(level)
+            length = np.linalg.norm(whitening(np.ones((n, 1)))) / level
+            total += whitening.log_determinant(n) + 2 * n * np.log(level)
             total += 2 * np.log(length)
         return float(total)
+
+    def freed(self, by_stretch: Sequence[np.ndarray]) -> list[np.ndarray]:
+        """Residuals without what is expected to be what is not known between the samples."""
+        out = []
+        for whitening, raw, extra, trial in zip(
+            self._whitenings, by_stretch, self.between, self.band.trial, strict=True
+        ):
+            level = self.estimate.levels[trial]
+            centred = (raw[:, 0] - np.median(raw[:, 0])) / level
+            back = whitening.back(whitening(centred[:, None])[:, 0])
+            out.append(raw[:, 0] - level * extra / level**2 * back)
+        return out
 
 
 def raw_residuals(
@@ -279,12 +306,10 @@ class Reference:
         tried : sequence of Contender
             See `estimate_noise`.
         """
-        stretches = [
-            Stretch(columns[:, 0], columns[:, 1:], int(trial))
-            for columns, trial in zip(raw, self.band.trial, strict=True)
-        ]
-        estimate, best = estimate_noise(stretches, self.carried, tried, self.band.angle_noise)
-        weights = Weights(self.band, estimate, best)
+        weights = self._estimated(raw, [columns[:, 0] for columns in raw], tried)
+        if self.between:
+            weights = self._beside_between(raw, tried)
+        estimate = weights.estimate
         if self.probe_problem is None:
             return weights
         # One probe is a draw: its size at this joint is set to what is expected there.
@@ -295,6 +320,40 @@ class Reference:
         drawn = weights.whitened([p[:, :1] for p in probes])
         gain = np.sqrt(excess / max(float(np.sum(drawn**2)), 1e-300))
         return replace(weights, gain=float(gain), excess=excess)
+
+    def _estimated(
+        self, raw: Sequence[np.ndarray], residuals: Sequence[np.ndarray], tried: Sequence[Contender]
+    ) -> Weights:
+        """Noise of residuals of a model with these derivatives."""
+        stretches = [
+            Stretch(residual, columns[:, 1:], int(trial))
+            for residual, columns, trial in zip(residuals, raw, self.band.trial, strict=True)
+        ]
+        estimate, best = estimate_noise(stretches, self.carried, tried, self.band.angle_noise)
+        return Weights(self.band, estimate, best)
+
+    def _beside_between(self, raw: Sequence[np.ndarray], tried: Sequence[Contender]) -> Weights:
+        """Noise of a residual beside what is not known between the samples.
+
+        Of this the expected share is taken out of the residual, at first as if the noise were
+        white, then by its colour; what is left is smaller by so many samples.
+        """
+        centred = [columns[:, 0] - np.median(columns[:, 0]) for columns in raw]
+        clear = np.concatenate([c[e == 0] for c, e in zip(centred, self.between, strict=True)])
+        usual = max(float(np.mean(clear**2)), 1e-300)
+        shares = [usual / (usual + extra) for extra in self.between]
+        left = [share * one for share, one in zip(shares, centred, strict=True)]
+        short = np.sqrt(sum(s.size for s in shares) / sum(float(s.sum()) for s in shares))
+        first = self._estimated(raw, left, tried)
+        first = replace(first, estimate=first.estimate.louder(short), between=self.between)
+        weights = self._estimated(raw, first.freed(raw), first.contenders[:1])
+        return replace(weights, estimate=weights.estimate.louder(short), between=self.between)
+
+    @cached_property
+    def between(self) -> list[np.ndarray]:
+        """By stretch, variance of what is not known between the samples; none where all is."""
+        found = self.band.between(self.joint)
+        return found if any(one.any() for one in found) else []
 
     @property
     def _values(self) -> dict[str, float]:
