@@ -246,7 +246,7 @@ def test_a_model_is_integrated_as_finely_as_telling_it_from_others_asks():
     assert abs(found.log_evidence - exact.log_evidence) < 2
     problem = evaluator.band.problem(model, scheme=long)
     start = np.array([problem.free_vector(values)])
-    coarse = evaluator._settled(problem, start, exact.weights, (), -np.inf)
+    coarse = evaluator.settled(problem, start, exact.weights)
     assert exact.log_evidence - coarse.log_evidence > 20
 
 
@@ -570,7 +570,7 @@ class Pretended:
 
 def evaluated_as(value, model, values, refined=()):
     return Evaluated(
-        model, values, refined, None, np.zeros(3), None, value, None, None, None, None, []
+        model, values, refined, None, np.zeros(3), None, value, value, None, None, None, None, []
     )
 
 

@@ -17,7 +17,6 @@ from identifiability.investigation.next_experiment import Limits, next_experimen
 from identifiability.investigation.record import investigation_record
 from identifiability.investigation.rules import Rules
 from identifiability.investigation.session import Investigation
-from identifiability.investigation.smallest_seen import detectable
 from identifiability.investigation.verdict.pinned import not_pinned_down
 from identifiability.investigation.wording.pinned import loose_sentence
 from identifiability.joint.effects import EFFECTS
@@ -43,8 +42,8 @@ def quiet_study():
 
 def test_the_smallest_effect_that_would_be_seen_is_seen(quiet_study):
     """An effect of three times that size is named, one of a third of it is not."""
-    kbi = quiet_study.fit(KBI())
-    smallest = {d.key: d for d in detectable(quiet_study.bench, kbi, SMALL)}["cubic_stiffness"]
+    seen = quiet_study.smallest_seen(quiet_study.baseline)
+    smallest = next(d for d in seen if d.key == "cubic_stiffness")
     model = KBI() + EFFECTS["cubic_stiffness"]()
     for factor, found in ((3.0, "effects"), (1 / 3, "nothing")):
         values = JOINT | {

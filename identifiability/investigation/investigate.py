@@ -127,9 +127,10 @@ def investigate(
                 after = study.unexplained(final, seed=seed)
         seen = None
         if posterior is not None and study.claim(posterior).kind == "nothing":
-            progress("the smallest effects that would have been seen", 0, 1)
             with timed("smallest effects seen"):
-                seen = attempt("smallest effects seen", lambda: study.smallest_seen(final))
+                seen = attempt(
+                    "smallest effects seen", lambda: study.smallest_seen(final, seed=seed)
+                )
         verdict = UNDECIDED
         if posterior is not None:
             verdict = study.judge(posterior, found, after, seen or ())

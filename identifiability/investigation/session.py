@@ -25,7 +25,7 @@ from identifiability.investigation.next_experiment import (
 )
 from identifiability.investigation.posterior.band import band_of
 from identifiability.investigation.posterior.claim import Claim, claim_of
-from identifiability.investigation.posterior.evidence import evaluator_of
+from identifiability.investigation.posterior.evidence import Evaluator, evaluator_of
 from identifiability.investigation.posterior.kept import Evaluations
 from identifiability.investigation.posterior.probabilities import Probabilities
 from identifiability.investigation.posterior.search import weigh
@@ -113,6 +113,7 @@ class Investigation:
         split = gather(trials, held_out, lowpass_hz=lowpass_hz, rules=rules)
         self.bench = Workbench(split, dict(bounds or {}), InMemory() if kept is None else kept)
         self._recorded = tuple(trials), tuple(held_out), lowpass_hz
+        self._evaluators: dict[int, Evaluator] = {}
         self.remarks: tuple[str, ...] = ()
         if leads_are_motion(self.bench):
             self.bench, self.remarks = without_leads(self.bench), (_MOVING,)
@@ -165,28 +166,40 @@ class Investigation:
         InputError
             Where the trials' rates are no multiples of the lowest.
         """
-        trials, held_out, lowpass_hz = self._recorded
-        band = band_of(
-            trials,
-            held_out,
-            lowpass_hz=lowpass_hz,
-            bounds=self.bench.bounds,
-            room=self.split.room,
-        )
-        evaluator = evaluator_of(band, self.baseline.values, seed=seed)
         number = self.bench.rules.most_effects if most is None else most
         folder = self.bench.kept.folder if isinstance(self.bench.kept, OnDisk) else None
+        lowpass_hz = self._recorded[2]
         identity = fingerprint(self.bench.identity, self.baseline.values, lowpass_hz, seed)
-        kept = Evaluations(evaluator, folder, identity)
-        return weigh(evaluator, self.baseline, self.library, number, self.progress, kept)
+        kept = Evaluations(self._evaluator(seed), folder, identity)
+        return weigh(kept.evaluator, self.baseline, self.library, number, self.progress, kept)
+
+    def _evaluator(self, seed: int) -> Evaluator:
+        """What weighs models of these trials, made once."""
+        if seed not in self._evaluators:
+            trials, held_out, lowpass_hz = self._recorded
+            band = band_of(
+                trials,
+                held_out,
+                lowpass_hz=lowpass_hz,
+                bounds=self.bench.bounds,
+                room=self.split.room,
+            )
+            self._evaluators[seed] = evaluator_of(band, self.baseline.values, seed=seed)
+        return self._evaluators[seed]
 
     def widths(self, candidate: Candidate, *, seed: int = 1) -> Widths:
         """Every width of a fitted model's parameters, as of K, B and I."""
         return parameter_widths(self.bench, candidate, seed=seed)
 
-    def smallest_seen(self, candidate: Candidate) -> tuple[Detectable, ...]:
+    def smallest_seen(self, candidate: Candidate, *, seed: int = 1) -> tuple[Detectable, ...]:
         """Smallest effects that would have been seen beside a fitted model."""
-        return detectable(self.bench, candidate, self.library)
+        evaluator = self._evaluator(seed)
+        without = evaluator.evaluate(
+            candidate.model, [candidate.values], refined=candidate.refined, scheme=candidate.scheme
+        )
+        return detectable(
+            evaluator, without, self.library, self.bench.rules, progress=self.progress
+        )
 
     def claim(self, posterior: Probabilities) -> Claim:
         """What the probabilities allow to name."""

@@ -112,6 +112,8 @@ class Evaluated:
     weights : Weights
     log_evidence : float
         In nats.
+    log_likelihood : float
+        In nats, but for what all models share; noise's parameters counted.
     turns : array, shape (n_free, k)
         From the parameters to the coordinates of those that lie inside their bounds.
     directions : array, shape (n, k)
@@ -137,6 +139,7 @@ class Evaluated:
     x: np.ndarray
     weights: Weights
     log_evidence: float
+    log_likelihood: float
     turns: np.ndarray
     directions: np.ndarray
     precision: np.ndarray
@@ -222,13 +225,13 @@ class Evaluator:
         own, white = self.starts
         for weights in (noise or own, white):
             begun = beginnings.best(weights, _CARRIED)
-            found = self._settled(problem, begun, weights, refined, least)
+            found = self.settled(problem, begun, weights, refined, least)
             if best is None or found.log_evidence > best.log_evidence:
                 best = found
         assert best is not None
         while resolved and (finer := self._finer(problem, best)) is not None:
             problem = problem.with_scheme(finer)
-            best = self._settled(problem, best.x[None], best.weights, refined, least)
+            best = self.settled(problem, best.x[None], best.weights, refined, least)
         if not best.weights.estimate.rms < _DIVERGED * self.band.scale:
             raise InputError("the best response found is not finite")
         return best
@@ -260,15 +263,15 @@ class Evaluator:
             )
         return problem.integration.improved(error / _SOLVER)
 
-    def _settled(
+    def settled(
         self,
         problem: Problem,
         points: np.ndarray,
         weights: Weights,
-        refined: Sequence[str],
-        least: float,
+        refined: Sequence[str] = (),
+        least: float = -np.inf,
     ) -> Evaluated:
-        """Model and noise fitted in turn, from given noise: see `evaluate`."""
+        """Model and noise fitted in turn, from given points and noise: see `evaluate`."""
         best, tried = None, self.orders
         for _ in range(_ROUNDS):
             weighed = Weighed(problem, self.band, weights)
@@ -320,12 +323,13 @@ class Evaluator:
         order = weights.n_parameters
         n = self.band.n_samples
         share = (weights.estimate.rms / self.band.scale) ** 2
+        log_likelihood = -0.5 * (weighed.squares_of(white, probe) + weights.log_determinant)
+        log_likelihood -= order * n / max(1, n - order - 2)
         log_evidence = (
             -share / _NOISE_SHARE
             + sum(p.log_density(value) for p, value in zip(priors, x, strict=True))
             + volume
-            - 0.5 * (weighed.squares_of(white, probe) + weights.log_determinant)
-            - order * n / max(1, n - order - 2)
+            + log_likelihood
         )
         turns = np.diag(turn)[:, inside]
         directions = jacobian @ turns
@@ -338,6 +342,7 @@ class Evaluator:
             x,
             weights,
             float(log_evidence),
+            float(log_likelihood),
             turns,
             directions,
             own,

@@ -38,9 +38,9 @@ from identifiability.progress import Progress, silent
 
 Keys = tuple[str, ...]
 
-# Share of the response that is nothing unknown: instruments are linear to so much, and motion
-# between samples is known to it.
-_TRIFLE = 3e-3
+TRIFLE = 3e-3
+"""Share of the response that is nothing unknown: instruments are linear to so much."""
+
 _FORM = 0.1  # share of what its effects do, that a model's equations may be wrong by
 _CONTENDS = 12.0  # nats that a set may be behind, for a discrepancy to be put beside it
 _MOST_BESIDE, _BEST_OF_SIZE = 6, 2
@@ -329,7 +329,7 @@ class Weighing:
     def _tolerated(self, keys: Keys) -> float:
         """Discrepancy, over the response, that inexact equations of a set may leave."""
         explained = self._explained(self.found[keys]) / self.evaluator.band.scale
-        return max(_FORM * explained, _TRIFLE)
+        return max(_FORM * explained, TRIFLE)
 
     def _rows(self, named: Mapping[Keys, float], forms: _Forms) -> tuple[SetProbability, ...]:
         """Probabilities from their logarithms, which lack a constant."""
