@@ -306,9 +306,10 @@ class Reference:
         tried : sequence of Contender
             See `estimate_noise`.
         """
-        weights = self._estimated(raw, [columns[:, 0] for columns in raw], tried)
         if self.between:
             weights = self._beside_between(raw, tried)
+        else:
+            weights = self._estimated(raw, [columns[:, 0] for columns in raw], tried)
         estimate = weights.estimate
         if self.probe_problem is None:
             return weights
