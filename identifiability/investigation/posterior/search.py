@@ -22,7 +22,7 @@ _TAKEN_UP = 3  # sets of one size that are evaluated further, at most
 _REFINED = 3  # sets of one size that are refined, at most
 _WORTH_REFINING = 3.0  # nats before K, B and I alone
 _BEHIND = 60.0  # nats behind the best of its size, from which a set is not refined
-_NEAR = 12.0  # nats behind the best single effect, within which another is enlarged too
+_NEAR = 12.0  # nats behind the best of its size, within which another set is enlarged too
 _EXCHANGED = 2  # effects up to which each is tried without the one that was found before it
 _POOR = 0.1  # share of what a set gained, that one effect more gains, if it was a poor picture
 
@@ -39,7 +39,8 @@ def weigh(
 
     All single effects are, the most probable ones refined too. The most probable set is enlarged by
     every effect whose signature is in what it leaves, for as long as that makes it more probable
-    and does more than mend equations; so is a single effect that comes near.
+    and does more than mend equations; so is one that comes near without the effect which does most
+    in it: two effects may be taken for a third one and its correction.
     What was added last may be what was missing all along, and what was found before it a poor
     picture of it: of a pair that leaves much less, both are enlarged.
 
@@ -182,12 +183,18 @@ class _Search:
         return next(iter(self._ranked(size)), None)
 
     def contenders(self, size: int) -> list[Keys]:
-        """Sets of a size to be enlarged: the best, and a single effect that comes near."""
+        """Sets of a size to be enlarged: the best, and one that comes near by another way.
+
+        That is the next of single effects, and of larger sets the next without the effect that
+        does most in the best one.
+        """
         ranked, found = self._ranked(size), self.weighing.found
-        least = found[ranked[0]].log_evidence - _NEAR
-        return [
-            keys for keys in ranked[: 2 if size == 1 else 1] if found[keys].log_evidence > least
-        ]
+        best = ranked[0]
+        alone = {key: found[key,].log_evidence for key in best if (key,) in found}
+        most = max(alone, key=lambda key: alone[key], default=best[0])
+        least = found[best].log_evidence - _NEAR
+        near = (k for k in ranked[1:] if found[k].log_evidence > least and most not in k)
+        return [best, *([other] if (other := next(near, None)) is not None else [])]
 
     def improves(self, keys: Keys) -> bool:
         """Whether a set is more probable than the best with one effect less."""
