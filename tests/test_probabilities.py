@@ -574,6 +574,27 @@ def evaluated_as(value, model, values, refined=()):
     )
 
 
+def test_a_set_that_comes_near_by_another_way_is_enlarged_too():
+    """Two effects may be taken for a third one and its correction."""
+    weighing = Pretended(nothing=0.0, cubic_stiffness=86.0, gravity=84.0, sensor_delay=20.0)
+    pairs = {
+        ("cubic_stiffness", "hill_force_velocity"): 98.0,
+        ("cubic_stiffness", "sensor_delay"): 97.0,
+        ("gravity", "sensor_delay"): 96.0,
+    }
+    nominal = {"K": 1.0, "B": 1.0, "I": 1.0}
+    weighing.found |= {keys: evaluated_as(value, KBI(), nominal) for keys, value in pairs.items()}
+    search = _Search(weighing, EFFECTS, silent)
+    assert search.contenders(1) == [("cubic_stiffness",), ("gravity",)]
+    assert search.contenders(2) == [
+        ("cubic_stiffness", "hill_force_velocity"),
+        ("gravity", "sensor_delay"),
+    ]
+    # What is far behind is not.
+    weighing.found["gravity", "sensor_delay"] = evaluated_as(80.0, KBI(), nominal)
+    assert search.contenders(2) == [("cubic_stiffness", "hill_force_velocity")]
+
+
 def test_sets_are_compared_in_one_form():
     """What was refined first does not keep from being refined what it was level with before."""
     weighing = Pretended(nothing=0.0, stretch_reflex=300.0, activation_lag=290.0, gravity=100.0)
