@@ -30,7 +30,7 @@ def probabilities(*rows, evidence=None):
     known = {tuple(sorted(e)) for e, _ in rows if e is not None} | {(), *(evidence or {})}
     sets = {
         keys: WeighedSet(
-            unfitted(model_of(*keys), [values_of(model_of(*keys))]),
+            unfitted(model_of(*keys), values_of(model_of(*keys))),
             (evidence or {}).get(keys, 0.0),
             0.1 / (1 + len(keys)),
         )

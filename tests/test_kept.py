@@ -74,7 +74,7 @@ def test_another_question_is_another_fit(tmp_path, split, fits):
     ask()
     ask(bounds={"K": (1.0, 40.0)})
     ask(start=VALUES | {"K": 31.0})
-    ask(thorough=False)
+    ask(refined=("series_tendon",))
     ask(model=KBI(), start=JOINT)
     ask(trials_=replace(split, held_out=split.held_out[:1]))
     ask(trials_=split.without_leads())
@@ -115,7 +115,7 @@ Earlier.__name__ = Later.__name__ = "Own"
 def test_an_effect_of_ones_own_with_another_equation_is_another_fit(tmp_path, split, fits):
     def ask(effect):
         Workbench(split, kept=OnDisk(tmp_path)).fit(
-            KBI() + effect(), [JOINT | {"own.coefficient": 1.0, "own.centre": 0.0}], thorough=False
+            KBI() + effect(), [JOINT | {"own.coefficient": 1.0, "own.centre": 0.0}]
         )
 
     ask(Earlier)

@@ -115,10 +115,6 @@ def test_half_the_step_finds_what_an_effect_does_not_declare():
     found = bench.fit(model, [start])
     assert found.scheme.is_finer_than(Scheme(4, 2))
     assert found.values["I"] == pytest.approx(I, rel=0.02)
-    # A glance goes by what is declared; it says that it was not checked.
-    glance = bench.fit(model, [start], thorough=False)
-    assert glance.scheme == Scheme(1, 2)
-    assert glance.solver_error is None
 
 
 def test_a_fit_that_cannot_be_integrated_says_so(monkeypatch):

@@ -23,9 +23,8 @@ from identifiability.joint.scheme import EXACT, Scheme
 from identifiability.measurement.prepared import Prepared
 from identifiability.provenance import fingerprint
 
-GLANCE, THOROUGH, FURTHER = 10, 60, 100
-"""Evaluations from each start: to see whether a candidate is worth more, to finish it, and for the
-best two where that did not suffice."""
+THOROUGH, FURTHER = 60, 100
+"""Evaluations from each start, and for the best two where that did not suffice."""
 _KEPT, _NEAR = 2, 2.0  # starts that are carried on: so many, at most so many times the best cost
 _FINEST_START = Scheme(4)  # extreme starts are passed through; where a fit ends is checked
 _ROUNDS = 6  # fits at most, each with the scheme that the one before asked for
@@ -153,7 +152,6 @@ class Workbench:
         starts: Sequence[Mapping[str, float]],
         *,
         refined: Sequence[str] = (),
-        thorough: bool = True,
     ) -> Candidate:
         """Fit a model; a failure is recorded in the result, not raised.
 
@@ -164,13 +162,11 @@ class Workbench:
             Values of all parameters by name.
         refined : sequence of str
             Keys of the effects whose refining parameters are free too.
-        thorough : bool
-            Whether to carry the fit to its end or to take a glance from every start.
         """
-        asked = question(self.identity, model, starts, refined, thorough)
+        asked = question(self.identity, model, starts, refined)
         found = self.kept.find(asked, model)
         if found is None:
-            found = self._fit(model, starts, refined, thorough)
+            found = self._fit(model, starts, refined)
             if not found.failure:
                 self.kept.keep(asked, found)
         return found
@@ -180,7 +176,6 @@ class Workbench:
         model: Model,
         starts: Sequence[Mapping[str, float]],
         refined: Sequence[str],
-        thorough: bool,
     ) -> Candidate:
         began = time.perf_counter()
         try:
@@ -191,24 +186,21 @@ class Workbench:
             for _ in range(_ROUNDS):
                 problem = self.problem(model, self.split.fitted, refined=refined, scheme=wanted)
                 points = np.array([problem.free_vector(s) for s in reached])
-                if thorough:
-                    best = explore(problem, points, evaluations=THOROUGH, further=FURTHER)
-                    best = delays_profiled(problem, best, evaluations=THOROUGH)
-                else:
-                    best = explore(problem, points, evaluations=GLANCE)
+                best = explore(problem, points, evaluations=THOROUGH, further=FURTHER)
+                best = delays_profiled(problem, best, evaluations=THOROUGH)
                 reached = _distinct(model, problem, best)
-                parts, moved = self._checked(problem, reached[0], thorough)
+                parts, moved = self._checked(problem, reached[0])
                 wanted = self._wanted(problem, moved)
                 if not wanted.is_finer_than(problem.integration):
                     break
             else:
                 raise InputError(_too_fast(problem))
             asked = replace(self._apriori(model, reached[:1]), order=problem.integration.order)
-            if thorough and problem.integration.is_finer_than(asked):
+            if problem.integration.is_finer_than(asked):
                 # A fit on its way may have asked for more than its end needs.
                 coarser = problem.with_scheme(asked)
-                less = self._checked(coarser, reached[0], thorough)
-                if less[1] is not None and less[1] <= self._tolerance:
+                less = self._checked(coarser, reached[0])
+                if less[1] <= self._tolerance:
                     problem, (parts, moved) = coarser, less
             fitted, held_out = parts
             if fitted.weighted >= _DIVERGED:
@@ -226,7 +218,6 @@ class Workbench:
             len(starts),
             tuple(reached),
             tuple(refined),
-            thorough,
             time.perf_counter() - began,
             scheme=problem.integration,
             solver_error=moved,
@@ -243,12 +234,11 @@ class Workbench:
         return best
 
     def _checked(
-        self, problem: Problem, values: Mapping[str, float], thorough: bool
-    ) -> tuple[tuple[Residual, Residual], float | None]:
+        self, problem: Problem, values: Mapping[str, float]
+    ) -> tuple[tuple[Residual, Residual], float]:
         """What values leave of the fitted and held-out trials, and the error E of the solver.
 
-        The error follows from what half the step changes, in the part where that is more; ``None``
-        where that was not tried: after a glance.
+        The error follows from what half the step changes, in the part where that is more.
         """
         split, refined = self.split, _refined(problem)
         left, errors = [], [0.0]
@@ -261,16 +251,16 @@ class Workbench:
                 scheme = problem.integration
                 here = self.problem(problem.model, part, refined=refined, scheme=scheme)
             left.append(self._left(here, values, part))
-            if thorough and not here.integration.exact:
+            if not here.integration.exact:
                 halved = self._left(here.halved(), values, part)
                 change = [
                     float(np.sum((a - b) ** 2)) / ready.energy
                     for a, b, ready in zip(left[-1].by_trial, halved.by_trial, part, strict=True)
                 ]
                 errors.append(float(np.mean(change)) / here.integration.shown)
-        return (left[0], left[1]), max(errors) if thorough else None
+        return (left[0], left[1]), max(errors)
 
-    def _wanted(self, problem: Problem, error: float | None) -> Scheme:
+    def _wanted(self, problem: Problem, error: float) -> Scheme:
         """Scheme that a fit asks for, by the error of the one that it was made with.
 
         Raises
@@ -280,7 +270,7 @@ class Workbench:
         """
         scheme = problem.integration
         # What overflows is a failure of another kind.
-        if error is None or not np.isfinite(error) or error <= self._tolerance:
+        if not np.isfinite(error) or error <= self._tolerance:
             return scheme
         if scheme.finest:
             raise InputError(_too_fast(problem))
@@ -294,27 +284,11 @@ class Workbench:
         allowed = np.clip(rules.solver_share * noise, rules.solver_least, rules.solver_most)
         return float(allowed)
 
-    def objection(self, candidate: Candidate) -> str:
-        """Why a candidate's parameters cannot be those of a joint; empty if they can.
-
-        Only where the joint moves freely, so that inertia and delays show in the motion itself. Of
-        an imposed motion they may be anywhere on a ridge, and nothing is held against them.
-        """
-        if candidate.failure or self.split.driven == "angle":
-            return ""
-        return candidate.model.objection(candidate.values)
-
-    def doubt(self, candidate: Candidate, key: str) -> str:
-        """Why one of a candidate's effects more likely stands for another; empty if it does not."""
-        if candidate.failure or self.split.driven == "angle":
-            return ""
-        return candidate.model.effect(key).doubt(candidate.values)
-
-    def finish(self, glanced: Candidate) -> Candidate:
-        """Carry a fit that was only glanced at to its end, from the best places it reached."""
-        if glanced.failure or glanced.thorough:
-            return glanced
-        return self.fit(glanced.model, glanced.reached, refined=glanced.refined)
+    def finish(self, candidate: Candidate) -> Candidate:
+        """Fit a candidate that is not fitted yet, from the values that it has."""
+        if candidate.failure or candidate.free:
+            return candidate
+        return self.fit(candidate.model, [candidate.values], refined=candidate.refined)
 
 
 def _refined(problem: Problem) -> tuple[str, ...]:

@@ -59,15 +59,13 @@ class Candidate:
         Where the best starts ended, best first.
     refined : tuple of str
         Keys of the effects whose refining parameters were fitted too.
-    thorough : bool
-        Whether the fit was carried to its end; one that fell behind after a glance is not.
     seconds : float
     scheme : Scheme or None
         How its responses were integrated, in this fit and in all that is said of it.
     solver_error : float or None
         Change of the response, as an error E, when the step is halved: at most a tenth of the noise
-        (see `Rules.solver_share`). 0 where the response is exact, ``None`` where it was not tried,
-        after a glance.
+        (see `Rules.solver_share`). 0 where the response is exact, ``None`` where nothing was
+        fitted.
     failure : str
         Why there is no fit; then the residuals are empty and the errors infinite.
     """
@@ -82,7 +80,6 @@ class Candidate:
     n_starts: int = 0
     reached: tuple[Mapping[str, float], ...] = ()
     refined: tuple[str, ...] = ()
-    thorough: bool = True
     seconds: float = 0.0
     failure: str = ""
     scheme: Scheme | None = None
@@ -99,19 +96,9 @@ NOTHING = Residual((), np.array([np.inf]), float("inf"))
 
 def unfitted(
     model: Model,
-    starts: Sequence[Mapping[str, float]],
+    values: Mapping[str, float],
     refined: Sequence[str] = (),
     scheme: Scheme | None = None,
 ) -> Candidate:
     """A model that is not fitted yet, with values to start from."""
-    return Candidate(
-        model,
-        starts[0],
-        (),
-        NOTHING,
-        NOTHING,
-        reached=tuple(starts),
-        refined=tuple(refined),
-        thorough=False,
-        scheme=scheme,
-    )
+    return Candidate(model, values, (), NOTHING, NOTHING, refined=tuple(refined), scheme=scheme)

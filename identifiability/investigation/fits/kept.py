@@ -117,7 +117,6 @@ def _to_arrays(candidate: Candidate) -> dict[str, np.ndarray]:
         "n_starts": candidate.n_starts,
         "reached": candidate.reached,
         "refined": candidate.refined,
-        "thorough": candidate.thorough,
         "seconds": candidate.seconds,
         "scheme": None if candidate.scheme is None else asdict(candidate.scheme),
         "solver_error": candidate.solver_error,

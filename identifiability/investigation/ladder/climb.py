@@ -146,7 +146,7 @@ class _Climb:
                 model = model.without(key)
         values = {name: final.values[name] for name in model.parameter_names}
         refined = [key for key in final.refined if key in model.effect_keys]
-        return self.bench.finish(unfitted(model, [values], refined))
+        return self.bench.finish(unfitted(model, values, refined))
 
     def _at_least(self, final: Candidate, rung: Candidate) -> Candidate:
         """The final model, which leaves no more than a rung of its ladder does."""

@@ -275,7 +275,7 @@ class Weighing:
 
     def _weighed(self, found: Evaluated) -> WeighedSet:
         """A model as it was weighed, for those who look at it later."""
-        candidate = unfitted(found.model, [found.values], found.refined, found.scheme)
+        candidate = unfitted(found.model, found.values, found.refined, found.scheme)
         error = (found.weights.estimate.rms / self.evaluator.band.scale) ** 2
         return WeighedSet(candidate, found.log_evidence, error)
 

@@ -168,7 +168,7 @@ class Effect(ABC):
         Returns
         -------
         str
-            Empty where there is no objection. A candidate with one is not admitted.
+            Empty where there is no objection. A model with one is not weighed.
         """
         return ""
 
@@ -183,7 +183,7 @@ class Effect(ABC):
         Returns
         -------
         str
-            Empty where there is no doubt. An effect with one is taken where no other is admitted.
+            Empty where there is no doubt. A verdict that names the effect says it.
         """
         return ""
 
