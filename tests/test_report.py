@@ -166,8 +166,8 @@ def test_every_effect_lies_within_the_axes(quiet_study):
     axes = alone_figure(Found(base, alone, base, (), None, 3), ["quadratic_stiffness"]).axes[0]
     texts = [t for t in axes.texts if t.get_text()]
     assert [t.get_text() for t in texts] == [
-        "leaves 1 % of the response",
-        "leaves 2 % of the response",
+        "leaves 1 % of the energy",
+        "leaves 2 % of the energy",
         "no fit",
     ]
     low, high = sorted(axes.get_ylim())

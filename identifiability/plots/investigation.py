@@ -46,7 +46,7 @@ def alone_figure(found: Found, named: Collection[str] = ()) -> Figure:
                 face = colour if one.key in named else "none"
                 axes.barh(row, length, color=face, edgecolor=colour, height=0.68)
             axes.annotate(
-                "no fit" if one.failure else f"leaves {100 * one.error:.2g} % of the response",
+                "no fit" if one.failure else f"leaves {100 * one.error:.2g} % of the energy",
                 (length, row),
                 xytext=(5, 0),
                 textcoords="offset points",

@@ -222,7 +222,7 @@ def _which(page: Page, figures: _Figures, findings: Findings) -> None:
         "may be left behind by both.",
     )
     page.table(
-        ["effect", "kind", "log evidence [nats]", "left of the response", "parameters"],
+        ["effect", "kind", "log evidence [nats]", "left of the response's energy", "parameters"],
         [_tried_row(one) for one in found.alone],
         marked=["failed" if one.failure else "" for one in found.alone],
         text_columns=(0, 1, 4),
@@ -253,12 +253,13 @@ def _in_their_place(page: Page, found: Found) -> None:
 
 def _ladder(page: Page, figures: _Figures, findings: Findings, record: dict[str, Any]) -> None:
     page.heading("Error ladder")
-    figures.show(
-        "ladder",
-        lambda: ladder_figure(findings),
-        "Error of the model with every effect added, on trials that were fitted and on those that "
-        "were not.",
-    )
+    if findings.found.missing:
+        figures.show(
+            "ladder",
+            lambda: ladder_figure(findings),
+            "Error of the model with every effect added, on trials that were fitted and on those "
+            "that were not.",
+        )
     floor = record["baseline"]["noise_floor"]
     rungs = [("K, B, I", record["baseline"])]
     rungs += [("+ " + words.plain(step["added"]), step) for step in record["steps"]]
