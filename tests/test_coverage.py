@@ -55,6 +55,6 @@ def test_what_is_not_covered_is_marked(record):
 
 def test_bad_options_are_one_sentence(capsys, tmp_path):
     out = str(tmp_path / "out")
-    for options in (["--recordings", "1"], ["--seed", "1", "2"]):
+    for options in (["--recordings", "1"], ["--seed", "-2"]):
         assert main(["benchmark", "coverage", *options, "--out", out]) == 2
         assert capsys.readouterr().err.count("\n") == 1

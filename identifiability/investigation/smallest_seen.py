@@ -31,6 +31,7 @@ _FIRST = 0.01  # share of the nominal size that the bracket is looked for from
 _STRIDE, _CLOSE = 8.0, 1.2  # largest step of that, and ratio of the bracket's ends at its end
 _MOST = 12  # sizes that are tried
 _SMALLEST = 1e-6  # share of the nominal size that is none
+_MADE_UP = 3.0  # nats by which a draw of the noise may help a torque of any form to make up for it
 _SOLVER_SHARE = 0.01  # of a trace's square that the error of its integration may have
 
 
@@ -206,21 +207,19 @@ class _Hidden:
         if without is None or changed is None:
             return None
         known, own = self.without, self.without.weights
-        points = np.array([known.x, self._softened(self.values(strength), without)])
-        orders = self.evaluator.orders
+        points = inside(without, np.array(self._starts(self.values(strength), without)))
+        tried = own.contenders
         try:
-            smaller = self.evaluator.settled(without, inside(without, points), own, known.refined)
+            smaller = self.evaluator.settled(without, points, own, known.refined, tried=tried)
             x = changed.free_vector(self.values(strength))
-            larger = self.evaluator.evaluated(changed, x, own, known.refined, orders)
+            larger = self.evaluator.evaluated(changed, x, own, known.refined, tried)
         except (ValueError, np.linalg.LinAlgError):
             return None
         gain = larger.log_evidence - smaller.log_evidence
         penalty = max(0.0, larger.log_likelihood - smaller.log_likelihood - gain)
         inexact = self.any_form.beside(smaller, TRIFLE * self.evaluator.band.scale)
         made_up = max(0.0, inexact.log_evidence - np.log(2) - smaller.log_evidence)
-        # By chance more of it than of the trace.
-        made_up += self.bad_luck * np.sqrt(2 * made_up)
-        return gain - float(made_up), penalty
+        return gain - float(made_up) - _MADE_UP, penalty
 
     def _recorded(self, strength: float) -> tuple[Problem | None, Problem | None]:
         """Problems of both models, of what would have been recorded; None if it has no bounds."""
@@ -254,13 +253,17 @@ class _Hidden:
         ]
         return replace(plain, observations=observations), replace(having, observations=observations)
 
-    def _softened(self, values: Mapping[str, float], problem: Problem) -> np.ndarray:
-        """Where springs in series with the muscle take K and B of the model without them."""
-        x = self.without.x.copy()
+    def _starts(self, values: Mapping[str, float], problem: Problem) -> list[np.ndarray]:
+        """Points to fit the model without the effect from.
+
+        Springs in series with the muscle take K and B of the model without them.
+        """
+        starts = [self.without.x]
         p = self.model.parameters[self.sizes[0]]
         if p.null is not None and not np.isfinite(p.null):
-            soft = 1 / (1 + values["K"] / values[self.sizes[0]])
+            x, soft = self.without.x.copy(), 1 / (1 + values["K"] / values[self.sizes[0]])
             for name, factor in (("K", soft), ("B", soft**2)):
                 if name in problem.names:
                     x[problem.names.index(name)] *= factor
-        return x
+            starts.append(x)
+        return starts

@@ -39,7 +39,7 @@ _HALF_BAND = signal.firwin(23, 0.5)
 _ENOUGH = 3.9  # samples a cycle of the cut-off, of which every other one is enough
 _SAME_RATE = 1e-3
 _AROUND, _STANDS = 5, 0.6  # samples; steps: a filter makes less of one
-_MOST = 4_096  # samples that are compared; of more, parts all over the record
+_MOST = 8_192  # samples that are compared; of more, parts all over the record
 _CLEAR = 10.0  # times the noise that the motion is, up to the cut-off
 
 

@@ -270,9 +270,13 @@ class Evaluator:
         weights: Weights,
         refined: Sequence[str] = (),
         least: float = -np.inf,
+        tried: Sequence[Contender] = (),
     ) -> Evaluated:
-        """Model and noise fitted in turn, from given points and noise: see `evaluate`."""
-        best, tried = None, self.orders
+        """Model and noise fitted in turn, from given points and noise: see `evaluate`.
+
+        The noise is sought among `orders`, or among those that are given.
+        """
+        best, tried = None, tried or self.orders
         for _ in range(_ROUNDS):
             weighed = Weighed(problem, self.band, weights)
             x = explore(weighed, points, evaluations=_EVALUATIONS).values
