@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from identifiability.provenance import made_by
@@ -77,24 +77,28 @@ def calibration_page(record: Mapping[str, Any]) -> str:
                 if r["n"]
             ],
         ),
-        "Cases that went wrong, or failed:",
-        table(
-            ["case", "noise", "claimed", "probability"],
-            [
-                [
-                    s["name"],
-                    f"{s['noise']}, {s['ratio']:g}",
-                    s["failure"]
-                    or "; ".join(" or ".join(names) for names in s["sets"])
-                    or s["claim"],
-                    percent(s["probability"]),
-                ]
-                for s in record["scores"]
-                if s["outcome"] in ("wrong", "failed")
-            ],
-        ),
+        *_missed([s for s in record["scores"] if s["outcome"] in ("wrong", "failed")]),
     ]
     return "\n\n".join(parts) + "\n"
+
+
+def _missed(scores: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Cases that went wrong, or failed."""
+    if not scores:
+        return ["No case went wrong, and none failed."]
+    rows = [
+        [
+            s["name"],
+            f"{s['noise']}, {s['ratio']:g}",
+            s["failure"] or "; ".join(" or ".join(names) for names in s["sets"]) or s["claim"],
+            percent(s["probability"]),
+        ]
+        for s in scores
+    ]
+    return [
+        "Cases that went wrong, or failed:",
+        table(["case", "noise", "claimed", "probability"], rows),
+    ]
 
 
 def _number(value: float | None) -> str:
