@@ -203,15 +203,17 @@ class _Hidden:
 
     def gained(self, strength: float) -> tuple[float, float] | None:
         """Log evidence of the effect at a strength, and how much of its likelihood priors took."""
-        without, changed = self._recorded(strength)
-        if without is None or changed is None:
+        values = self.values(strength)
+        recorded = self._recorded(values)
+        if recorded is None:
             return None
+        without, changed = recorded
         known, own = self.without, self.without.weights
-        points = inside(without, np.array(self._starts(self.values(strength), without)))
+        points = inside(without, np.array(self._starts(values, without)))
         tried = own.contenders
         try:
             smaller = self.evaluator.settled(without, points, own, known.refined, tried=tried)
-            x = changed.free_vector(self.values(strength))
+            x = changed.free_vector(values)
             larger = self.evaluator.evaluated(changed, x, own, known.refined, tried)
         except (ValueError, np.linalg.LinAlgError):
             return None
@@ -221,20 +223,25 @@ class _Hidden:
         made_up = max(0.0, inexact.log_evidence - np.log(2) - smaller.log_evidence)
         return gain - float(made_up) - _MADE_UP, penalty
 
-    def _recorded(self, strength: float) -> tuple[Problem | None, Problem | None]:
-        """Problems of both models, of what would have been recorded; None if it has no bounds."""
+    @cached_property
+    def _problems(self) -> tuple[Problem, Problem]:
+        """Of both models, of what was recorded."""
         band, probes = self.evaluator.band, self.evaluator.reference.probes
-        refined, values = self.without.refined, self.values(strength)
-        plain = band.problem(
-            self.without.model, refined=refined, scheme=self.without.scheme, probes=probes
+        known = self.without
+        return (
+            band.problem(known.model, refined=known.refined, scheme=known.scheme, probes=probes),
+            band.problem(self.model, refined=known.refined, probes=probes),
         )
-        having = band.problem(self.model, refined=refined, probes=probes)
+
+    def _recorded(self, values: Mapping[str, float]) -> tuple[Problem, Problem] | None:
+        """Problems of both models, of what would have been recorded; None if it has no bounds."""
+        plain, having = self._problems
         having = having.with_scheme(having.suited(self.model.vector(values)))
         x, before = having.free_vector(values), plain.residuals(self.without.x)
         while True:
             after = having.residuals(x)
             if not np.all(np.isfinite(after)):
-                return None, None
+                return None
             if having.integration.exact:
                 break
             # What the integration is wrong by must not pass for a trace.
@@ -244,7 +251,7 @@ class _Hidden:
             if error <= 1:
                 break
             if having.integration.finest:
-                return None, None
+                return None
             having = having.with_scheme(having.integration.improved(error))
         rows = (after - before).reshape(max(len(plain.observations), plain.room[0]), -1)
         observations = [

@@ -23,6 +23,7 @@ from identifiability.investigation.wording.unexplained import unexplained_senten
 from identifiability.joint.parameters import Parameter, with_unit
 from identifiability.plots.investigation import (
     alone_figure,
+    error_text,
     ladder_figure,
     widths_figure,
 )
@@ -376,7 +377,8 @@ def _tried_row(tried: Tried) -> list[str]:
 
 def _rung(name: str, fitted: float | None, held_out: float | None) -> list[str]:
     vaf = ["" if e is None else f"{100 * (1 - e):.2f}" for e in (fitted, held_out)]
-    return [name, _number(fitted), _number(held_out), *vaf]
+    errors = ["" if e is None else error_text(e) for e in (fitted, held_out)]
+    return [name, *errors, *vaf]
 
 
 def _values_table(

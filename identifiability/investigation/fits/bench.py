@@ -122,20 +122,7 @@ class Workbench:
     def _left(
         self, problem: Problem, values: Mapping[str, float], part: Sequence[Prepared]
     ) -> Residual:
-        theta = problem.free_vector(values)
-        return self.unstacked(problem, problem.residuals(theta), part)
-
-    def unstacked(self, problem: Problem, white: np.ndarray, part: Sequence[Prepared]) -> Residual:
-        """Whitened residuals of a problem, or differences of such, as those of its trials.
-
-        Parameters
-        ----------
-        problem : Problem
-            Of the part.
-        white : array
-            As `Problem.residuals` gives them.
-        part : sequence of Prepared
-        """
+        white = problem.residuals(problem.free_vector(values))
         white = np.clip(np.nan_to_num(white, nan=_DIVERGED), -_DIVERGED, _DIVERGED)
         found = places(problem.observations, self.split.room[1])
         by_trial, errors, weighted = [], [], 0.0
@@ -216,7 +203,6 @@ class Workbench:
             at_bounds(problem, best.values),
             best.n_agreeing,
             len(starts),
-            tuple(reached),
             tuple(refined),
             time.perf_counter() - began,
             scheme=problem.integration,

@@ -55,8 +55,6 @@ class Candidate:
     at_bound : tuple of str
     n_agreeing, n_starts : int
         Number of starts that reached the best cost, and of all.
-    reached : tuple of mapping
-        Where the best starts ended, best first.
     refined : tuple of str
         Keys of the effects whose refining parameters were fitted too.
     seconds : float
@@ -78,7 +76,6 @@ class Candidate:
     at_bound: tuple[str, ...] = ()
     n_agreeing: int = 0
     n_starts: int = 0
-    reached: tuple[Mapping[str, float], ...] = ()
     refined: tuple[str, ...] = ()
     seconds: float = 0.0
     failure: str = ""

@@ -115,7 +115,6 @@ def _to_arrays(candidate: Candidate) -> dict[str, np.ndarray]:
         "at_bound": candidate.at_bound,
         "n_agreeing": int(candidate.n_agreeing),
         "n_starts": candidate.n_starts,
-        "reached": candidate.reached,
         "refined": candidate.refined,
         "seconds": candidate.seconds,
         "scheme": None if candidate.scheme is None else asdict(candidate.scheme),
@@ -133,7 +132,7 @@ def _to_arrays(candidate: Candidate) -> dict[str, np.ndarray]:
 
 def _from_arrays(model: Model, arrays: Mapping[str, np.ndarray]) -> Candidate:
     plain: dict[str, Any] = json.loads(str(arrays["candidate"]))
-    for name in ("free", "at_bound", "reached", "refined"):
+    for name in ("free", "at_bound", "refined"):
         plain[name] = tuple(plain[name])
     if plain["scheme"] is not None:
         plain["scheme"] = Scheme(**plain["scheme"])

@@ -118,7 +118,7 @@ class Weights:
             level = self.estimate.levels[trial]
             centred = (raw[:, 0] - np.median(raw[:, 0])) / level
             back = whitening.back(whitening(centred[:, None])[:, 0])
-            out.append(raw[:, 0] - level * extra / level**2 * back)
+            out.append(raw[:, 0] - extra / level * back)
         return out
 
 
