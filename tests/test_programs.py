@@ -1,12 +1,17 @@
-"""Compiled programs are dropped before the process runs out of memory maps."""
+"""Compiled programs are kept as they were traced, and dropped before memory maps run out."""
 
 from pathlib import Path
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 import pytest
 
+from identifiability.inference.problem import Program, _identity
 from identifiability.joint import programs
+from identifiability.joint.effects import EFFECTS
+from identifiability.joint.model import KBI
+from identifiability.joint.traced import Traced
 
 
 @pytest.fixture
@@ -66,3 +71,77 @@ def test_options_that_the_compiler_does_not_know_are_left_out(monkeypatch):
         assert twice(2, jnp.ones(3)).tolist() == [2.0, 2.0, 2.0]
     finally:
         programs._understood.cache_clear()
+
+
+@pytest.fixture
+def kept(tmp_path):
+    """A function whose programs are kept, and how often it was traced."""
+    traced = []
+    identity = {2: "two", 3: None}.get
+    before = jax.config.jax_compilation_cache_dir
+    jax.config.update("jax_compilation_cache_dir", str(tmp_path))
+
+    def scaled(factor, x):
+        traced.append(factor)
+        return factor * jnp.sin(x)
+
+    yield programs.quickly_compiled(scaled, Traced("scaled", __name__, identity)), traced
+    jax.config.update("jax_compilation_cache_dir", before)
+
+
+def forget():
+    """What this process has compiled; what is on disk stays."""
+    programs._kept.clear()
+
+
+def test_a_program_is_traced_once(kept):
+    scaled, traced = kept
+    first = [scaled(2, np.linspace(0, 1, n)) for n in (5, 5, 6)]
+    assert traced == [2, 2]
+    forget()
+    again = [scaled(2, np.linspace(0, 1, n)) for n in (5, 5, 6)]
+    assert traced == [2, 2]
+    assert [one.tobytes() for one in first] == [one.tobytes() for one in again]
+    assert first[0] == pytest.approx(2 * np.sin(np.linspace(0, 1, 5)))
+
+
+def test_one_that_cannot_be_named_is_not_kept(kept, tmp_path):
+    scaled, _ = kept
+    assert scaled(3, np.ones(2)) == pytest.approx(3 * np.sin(1) * np.ones(2))
+    assert not list((tmp_path / "traced").glob("*"))
+
+
+def test_other_code_is_traced_anew(kept, monkeypatch):
+    scaled, traced = kept
+    scaled(2, np.ones(4))
+    forget()
+    monkeypatch.setattr("identifiability.joint.traced.code_fingerprint", lambda module: "other")
+    scaled(2, np.ones(4))
+    assert traced == [2, 2]
+
+
+def test_a_damaged_file_is_traced_anew(kept, tmp_path):
+    scaled, traced = kept
+    before = scaled(2, np.ones(4))
+    forget()
+    (file,) = (tmp_path / "traced").iterdir()
+    file.write_bytes(file.read_bytes()[:50])
+    assert scaled(2, np.ones(4)).tobytes() == before.tobytes()
+    forget()
+    scaled(2, np.ones(4))
+    assert traced == [2, 2]
+
+
+def test_an_effect_of_ones_own_is_not_kept():
+    """Its code may be edited where no fingerprint sees it."""
+
+    class Own(EFFECTS["cubic_stiffness"]):
+        key = "own"
+
+    of_the_package, own = (
+        Program(KBI() + effect(), (0, 1, 2)) for effect in (EFFECTS["cubic_stiffness"], Own)
+    )
+    assert _identity(of_the_package)
+    assert _identity(own) is None
+    others = (of_the_package._replace(free=(0, 1)), of_the_package._replace(order=2))
+    assert len({_identity(one) for one in (of_the_package, *others)}) == 3

@@ -16,8 +16,7 @@ import scipy.optimize
 from jax import Array
 
 from identifiability.inference.fitting import inside
-from identifiability.inference.problem import Data, Problem, Program, pad, whitened
-from identifiability.joint.programs import quickly_compiled
+from identifiability.inference.problem import Data, Problem, Program, compiled, pad, whitened
 
 _ITERATIONS, _MOST_ROUNDS = 6, 12
 _SIZES = (32, 64, 512)
@@ -143,7 +142,7 @@ def one_by_one(problem: Problem, held: tuple[int, ...], points: np.ndarray) -> C
     return found
 
 
-@quickly_compiled
+@compiled
 def _solve(
     program: Program,
     moves: Array,

@@ -6,12 +6,12 @@ samplers and quadrature see only parameter vectors, whitened residuals and log p
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from threading import local
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -27,8 +27,10 @@ from identifiability.joint.model import Model
 from identifiability.joint.programs import THREADS, make_room, quickly_compiled
 from identifiability.joint.response import exact_response
 from identifiability.joint.scheme import Scheme
+from identifiability.joint.traced import Traced
 from identifiability.measurement.noise import Noise
 from identifiability.measurement.perturbations import Drive
+from identifiability.provenance import code_fingerprint
 
 # Batches are padded to one of a few sizes, so that a few compilations serve any number of points.
 # A batch of long records is kept small: what does not fit the processor's cache is slower.
@@ -587,10 +589,23 @@ def _negative_log_likelihood(program: Program, x: Array, template: Array, data: 
     return 0.5 * white @ white
 
 
-_responses = quickly_compiled(_stacked_responses)
+def _identity(program: Program) -> str | None:
+    modules = sorted({type(effect).__module__ for effect in program.model.effects})
+    if not all(module.startswith("identifiability.") for module in modules):
+        return None
+    return f"{program} {code_fingerprint(__name__, *modules)}"
 
 
-@quickly_compiled
+def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Compile a function of a `Program` and arrays; what was traced of it is kept on disk."""
+    module = function.__module__
+    return quickly_compiled(function, Traced(f"{module}.{function.__name__}", module, _identity))
+
+
+_responses = compiled(_stacked_responses)
+
+
+@compiled
 def _linearised(program: Program, x: Array, template: Array, data: Data) -> tuple[Array, Array]:
     def twice(point: Array) -> tuple[Array, Array]:
         white = whitened(program, point, template, data)
@@ -605,7 +620,7 @@ _hessian = jax.jit(
 )
 
 
-@quickly_compiled
+@compiled
 def _log_likelihoods(program: Program, points: Array, template: Array, data: Data) -> Array:
     values = jax.vmap(lambda x: -_negative_log_likelihood(program, x, template, data))(points)
     return jnp.where(jnp.isnan(values), -jnp.inf, values)

@@ -1,15 +1,19 @@
-"""Compiled programs: how they are compiled, and the memory maps that they hold."""
+"""Compiled programs: how they are compiled and kept, and the memory maps that they hold."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from functools import cache, wraps
 from itertools import count
 from pathlib import Path
+from threading import Lock
 from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
+
+from identifiability.joint.traced import Traced
 
 # A search for effects compiles a hundred programs, and calls each some dozens of times. Costly
 # passes save next to nothing here and take a third of the compiler's time; the newer emitters of
@@ -32,17 +36,49 @@ _EVERY, _SHARE = 16, 0.6
 
 _calls = count()
 
+_kept: dict[Hashable, Callable[..., Any]] = {}
+_locks: dict[Hashable, Lock] = {}
+_guard = Lock()
 
-def quickly_compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compile a function, whose first argument is static, with little optimisation."""
+
+def quickly_compiled(
+    function: Callable[..., Any], traced: Traced | None = None
+) -> Callable[..., Any]:
+    """Compile a function, whose first argument is static, with little optimisation.
+
+    Parameters
+    ----------
+    function : callable
+        Of a hashable static argument, then trees of arrays.
+    traced : Traced, optional
+        Where it is kept as it was traced: tracing takes as long as reading what was compiled
+        before.
+    """
 
     @cache
     def compiled() -> Callable[..., Any]:
         return jax.jit(function, static_argnums=0, compiler_options=_understood())
 
     @wraps(function)
-    def call(*arguments: Any) -> Any:
-        return compiled()(*arguments)
+    def call(static: Hashable, *arguments: Any) -> Any:
+        identity = traced and traced.identity(static)
+        if traced is None or identity is None:
+            return compiled()(static, *arguments)
+        leaves, tree = jax.tree.flatten(arguments)
+        leaves = [leaf if hasattr(leaf, "dtype") else np.asarray(leaf) for leaf in leaves]
+        key = (function, static, tree, *((leaf.shape, str(leaf.dtype)) for leaf in leaves))
+        with _guard:
+            lock = _locks.setdefault(key, Lock())
+        with lock:
+            if key not in _kept:
+
+                def flat(*leaves: Any) -> Any:
+                    return function(static, *jax.tree.unflatten(tree, leaves))
+
+                found = traced.program(f"{identity} {tree}", flat, leaves)
+                _kept[key] = jax.jit(found, compiler_options=_understood())
+            program = _kept[key]
+        return program(*leaves)
 
     return call
 
@@ -68,6 +104,7 @@ def make_room() -> None:
     gets there. What is dropped is compiled again, or read from the cache on disk, when needed.
     """
     if next(_calls) % _EVERY == 0 and _nearly_full():
+        _kept.clear()
         jax.clear_caches()
 
 
