@@ -25,7 +25,7 @@ _ARMA = ((0, 0), (1, 0), (0, 1), (1, 1), (2, 0), (2, 1), (2, 2), (3, 3))
 _MOST_SAMPLES, _CHUNK = 4000, 1000  # from which the colour is estimated
 _LONG_AR = 16  # order of the autoregression whose residuals stand for the shocks
 _MOST_CORRELATED = 5.0  # bound of atanh of a partial autocorrelation
-_SHARES = np.geomspace(1e-6, 1e6, 13)  # of carried to own variance, to start from
+_SHARES = np.geomspace(1e-6, 1e6, 7)  # of carried to own variance, to start from
 _MOST_CARRIED = 0.5 * np.log(_SHARES[-1]) + 3  # logarithm of carried over own, of deviations
 _HELD_ROUNDS, _AS_KNOWN = 6, 1.02  # of own beside known noise; times what there is of that
 _ITERATIONS = 30
@@ -277,10 +277,15 @@ def _whitened_squares(
 
 def without_level(whitening: Whitening, columns: np.ndarray) -> tuple[np.ndarray, float]:
     """Whitened columns without an unknown level each, and the length of a whitened one."""
-    white = whitening(np.column_stack([columns, np.ones(len(columns))]))
-    length = float(np.linalg.norm(white[:, -1]))
-    level = white[:, -1] / length
-    return white[:, :-1] - np.outer(level, level @ white[:, :-1]), length
+    n, k = columns.shape
+    with_level = np.ones((n, k + 1), order="F")
+    with_level[:, :k] = columns
+    white = whitening(with_level)
+    length = float(np.linalg.norm(white[:, k]))
+    level = white[:, k] / length
+    left = white[:, :k]
+    left -= np.multiply.outer(level @ left, level).T
+    return left, length
 
 
 class _Sample:
@@ -431,8 +436,8 @@ class _Sample:
             jac=slopes,
             bounds=(lower, upper),
             max_nfev=_ITERATIONS,
-            ftol=1e-6,
-            xtol=1e-4,
+            ftol=1e-5,
+            xtol=1e-3,
         )
         best = np.append(found.x, tail)
         return best, self.cost(order, best, restricted=restricted), bool(found.status > 0)

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 import scipy.linalg
@@ -47,16 +48,19 @@ class Process:
         section 3.3).
         """
         p, q = self.ar.size - 1, self.ma.size - 1
-        impulse = self.impulse_response(max(p, q, lags) + 1)
+        impulse = self.impulse_response(q + 1)
         shared = np.zeros(max(p, lags) + 1)
         for lag in range(min(q, shared.size - 1) + 1):
             shared[lag] = self.ma[lag:] @ impulse[: q + 1 - lag]
-        system = np.zeros((p + 1, p + 1))
-        for lag in range(p + 1):
-            for i in range(p + 1):
-                system[lag, abs(lag - i)] += self.ar[i]
+        before, after = _yule_walker(p)
+        padded = np.append(self.ar, 0.0)
+        _, _, first, failed = scipy.linalg.lapack.dgesv(
+            padded[before] + padded[after], shared[: p + 1]
+        )
+        if failed:
+            raise np.linalg.LinAlgError("a noise whose variance is not bounded")
         found = np.zeros(shared.size)
-        found[: p + 1] = np.linalg.solve(system, shared[: p + 1])
+        found[: p + 1] = first
         for lag in range(p + 1, shared.size):
             found[lag] = shared[lag] - self.ar[1:] @ found[lag - 1 : lag - p - 1 : -1][:p]
         return self.sd**2 * found[: lags + 1]
@@ -64,6 +68,9 @@ class Process:
     def impulse_response(self, n: int) -> np.ndarray:
         """Response to a unit of e, without `sd`, shape (n,)."""
         unit = np.zeros(n)
+        if self.ar.size == 1:
+            unit[: self.ma.size] = self.ma[:n]
+            return unit
         unit[0] = 1.0
         response: np.ndarray = lfilter(self.ma, self.ar, unit)
         return response
@@ -127,6 +134,18 @@ class ProcessSum:
         return Whitening(ar, factor)
 
 
+@cache
+def _yule_walker(p: int) -> tuple[np.ndarray, np.ndarray]:
+    """Which coefficients of an AR(p) multiply each autocovariance, as a lag before and after 0.
+
+    Shape (p + 1, p + 1) each; p + 1 where there is none.
+    """
+    equation, lag = np.indices((p + 1, p + 1))
+    before = np.where(equation >= lag, equation - lag, p + 1)
+    after = np.where((lag > 0) & (equation + lag <= p), equation + lag, p + 1)
+    return before, after
+
+
 def _add_filtered(band: np.ndarray, ar: np.ndarray, variances: np.ndarray) -> None:
     """Add the covariance of independent noise behind an autoregression to a band."""
     n, head = variances.size, ar.size - 1
@@ -151,11 +170,12 @@ def _factor(band: np.ndarray) -> np.ndarray:
 
 
 def _cholesky(band: np.ndarray, share: float) -> np.ndarray:
-    raised = np.concatenate([band[:1] * (1 + share), band[1:]])
-    factor: np.ndarray = scipy.linalg.cholesky_banded(
-        raised, lower=True, overwrite_ab=True, check_finite=False
-    )
-    return factor
+    raised = np.array(band, order="F")
+    raised[0] *= 1 + share
+    factor, failed = scipy.linalg.lapack.dpbtrf(raised, lower=True, overwrite_ab=True)
+    if failed:
+        raise np.linalg.LinAlgError("a covariance that is not positive definite")
+    return np.asarray(factor)
 
 
 def _beginning(part: Process, ma: np.ndarray, head: int, width: int) -> np.ndarray:
@@ -190,11 +210,12 @@ class Whitening:
     def __call__(self, values: np.ndarray) -> np.ndarray:
         """Whiten the columns of `values`, shape (m, k), of m samples that follow each other."""
         m, head = len(values), self.ar.size - 1
-        filtered = values.copy()
+        filtered = np.array(values, order="F")  # by columns, as LAPACK has them
         for lag in range(1, head + 1):
             filtered[head:] += self.ar[lag] * values[head - lag : m - lag]
-        factor = self.factor[:, :m]
-        white, failed = scipy.linalg.lapack.dtbtrs(factor, filtered, uplo="L")
+        white, failed = scipy.linalg.lapack.dtbtrs(
+            self.factor[:, :m], filtered, uplo="L", overwrite_b=True
+        )
         if failed:
             raise np.linalg.LinAlgError("a noise without variance")
         found: np.ndarray = white
