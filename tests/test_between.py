@@ -14,7 +14,7 @@ from identifiability.investigation.session import Investigation
 from identifiability.joint.effects import EFFECTS
 from identifiability.joint.model import KBI
 
-LIBRARY = {key: EFFECTS[key] for key in ("second_mass", "quadratic_stiffness")}
+LIBRARY = {"second_mass": EFFECTS["second_mass"]}
 KBI_OF = np.array([JOINT["K"], JOINT["B"], JOINT["I"]])
 
 

@@ -184,13 +184,15 @@ def study_of(model, values, library, **options):
     return Investigation(fitted, held, library=library, **options)
 
 
-@pytest.mark.parametrize("seed", [1, 2])
-def test_nothing_is_added_where_nothing_is_missing(seed):
-    study = Investigation(
-        trials(KBI(), JOINT, seed=seed),
-        trials(KBI(), JOINT, seed=seed + 100, conditions=HELD),
-        library=SMALL,
-    )
+@pytest.fixture(scope="module")
+def cubic_study():
+    """A study of a joint with a cubic spring, and what is probable."""
+    study = study_of(KBI() + EFFECTS["cubic_stiffness"](), CUBIC, SMALL)
+    return study, study.weigh()
+
+
+def test_nothing_is_added_where_nothing_is_missing():
+    study = study_of(KBI(), JOINT, SMALL)
     found = study.weigh()
     assert study.claim(found).kind == "nothing"
     climbed = study.climb(found)
@@ -198,9 +200,8 @@ def test_nothing_is_added_where_nothing_is_missing(seed):
     assert {t.key for t in climbed.alone} == set(SMALL)
 
 
-def test_the_missing_effect_is_found_and_the_error_falls_to_the_floor():
-    study = study_of(KBI() + EFFECTS["cubic_stiffness"](), CUBIC, SMALL)
-    posterior = study.weigh()
+def test_the_missing_effect_is_found_and_the_error_falls_to_the_floor(cubic_study):
+    study, posterior = cubic_study
     assert study.claim(posterior).sets == (("cubic_stiffness",),)
     found = study.climb(posterior)
     assert found.final.keys == ("cubic_stiffness",)
@@ -245,9 +246,9 @@ def test_a_set_that_was_not_weighed_is_fitted_from_the_final_values():
     )
 
 
-def test_a_final_model_that_cannot_be_fitted_is_recorded_not_raised(monkeypatch):
-    study = study_of(KBI() + EFFECTS["cubic_stiffness"](), CUBIC, SMALL)
-    posterior, whole = study.weigh(), Workbench.fit
+def test_a_final_model_that_cannot_be_fitted_is_recorded_not_raised(monkeypatch, cubic_study):
+    whole, (_, posterior) = Workbench.fit, cubic_study
+    study = study_of(KBI() + EFFECTS["cubic_stiffness"](), CUBIC, SMALL)  # without its fits
 
     def failing(bench, model, starts, **options):
         found = whole(bench, model, starts, **options)

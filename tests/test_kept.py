@@ -17,7 +17,7 @@ from identifiability.investigation.posterior.evidence import Evaluator
 from identifiability.investigation.record import investigation_record
 from identifiability.investigation.session import Investigation
 from identifiability.investigation.split import gather
-from identifiability.joint.effects import EFFECTS, CubicStiffness, SeriesTendon
+from identifiability.joint.effects import CubicStiffness, SeriesTendon
 from identifiability.joint.model import KBI
 
 MODEL = KBI() + SeriesTendon()
@@ -149,7 +149,7 @@ def test_a_fit_that_failed_is_tried_again(tmp_path, split, monkeypatch):
 
 
 def test_a_weighing_that_was_stopped_goes_on(tmp_path, monkeypatch):
-    library = {key: EFFECTS[key] for key in ("series_tendon", "coulomb_friction")}
+    library = {"series_tendon": SeriesTendon}
     hidden = trials(MODEL, VALUES), trials(MODEL, VALUES, seed=9, conditions=HELD)
     evaluated, evaluate = [], Evaluator.evaluate
 
@@ -190,9 +190,7 @@ def test_a_weighing_that_was_stopped_goes_on(tmp_path, monkeypatch):
 
 
 def test_an_investigation_that_was_stopped_goes_on(tmp_path, fits):
-    library = {
-        key: EFFECTS[key] for key in ("series_tendon", "cubic_stiffness", "quadratic_stiffness")
-    }
+    library = {"series_tendon": SeriesTendon}
     hidden = trials(MODEL, VALUES), trials(MODEL, VALUES, seed=9, conditions=HELD)
 
     def study(**options):

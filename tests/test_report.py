@@ -40,22 +40,6 @@ def quiet_study():
     )
 
 
-def test_the_smallest_effect_that_would_be_seen_is_seen(quiet_study):
-    """An effect of three times that size is named, one of a third of it is not."""
-    seen = quiet_study.smallest_seen(quiet_study.baseline)
-    smallest = next(d for d in seen if d.key == "cubic_stiffness")
-    model = KBI() + EFFECTS["cubic_stiffness"]()
-    for factor, found in ((3.0, "effects"), (1 / 3, "nothing")):
-        values = JOINT | {
-            "cubic_stiffness.coefficient": factor * smallest.size,
-            "cubic_stiffness.centre": 0.0,
-        }
-        study = Investigation(
-            trials(model, values), trials(model, values, seed=9, conditions=HELD), library=SMALL
-        )
-        assert study.claim(study.weigh()).kind == found
-
-
 def test_a_larger_torque_tells_springs_apart_better(quiet_study):
     """Cubic against quadratic stiffness: evidence grows with the size of the motion."""
     study = quiet_study

@@ -21,7 +21,9 @@ _STARTS, _STARTS_BESIDE = 28, 12  # shapes that are tried as starts, alone and b
 _TAKEN_UP = 3  # sets of one size that are evaluated further, at most
 _REFINED = 3  # sets of one size that are refined, at most
 _WORTH_REFINING = 3.0  # nats before K, B and I alone
-_BEHIND = 60.0  # nats behind the best of its size, from which a set is not refined
+# Nats, or the share of what the best of its size gained, from which a set behind it is not refined:
+# where noise is low, a plain form may leave much of what its richer one explains.
+_BEHIND, _BEHIND_SHARE = 60.0, 0.5
 _NEAR = 12.0  # nats behind the best of its size, within which another set is enlarged too
 _EXCHANGED = 2  # effects up to which each is tried without the one that was found before it
 _POOR = 0.1  # share of what a set gained, that one effect more gains, if it was a poor picture
@@ -151,8 +153,9 @@ class _Search:
         jobs: list[Job] = []
         for keys in ranked:
             behind = self.plain[ranked[0]] - self.plain[keys]
+            most = max(_BEHIND, _BEHIND_SHARE * (self.plain[ranked[0]] - self.plain[()]))
             gain = found[keys].log_evidence - found[()].log_evidence
-            if keys in self.refined or behind > _BEHIND or gain < _WORTH_REFINING:
+            if keys in self.refined or behind > most or gain < _WORTH_REFINING:
                 continue
             self.refined.add(keys)
             jobs += self._refined(found[keys], keys)
