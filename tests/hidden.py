@@ -6,25 +6,25 @@ from identifiability.joint.response import simulate
 from identifiability.measurement.perturbations import SampledTorque, imposed_motion
 from identifiability.measurement.trials import Trial
 
-TIME = np.arange(500) / 1000
+TIME = np.arange(250) / 500
 JOINT = {"K": 30.0, "B": 1.0, "I": 0.1}
 
 
-def torque(kind: str, size: float) -> np.ndarray:
+def torque(time: np.ndarray, kind: str, size: float) -> np.ndarray:
     if kind == "pulse":
-        return size * ((TIME > 0.05) & (TIME <= 0.1))
-    return size * (TIME > 0.05)
+        return size * ((time > 0.05) & (time <= 0.1))
+    return size * (time > 0.05)
 
 
-def turned(kind: str, size: float) -> np.ndarray:
+def turned(time: np.ndarray, kind: str, size: float) -> np.ndarray:
     """Angle of a smooth push or step, by a fiftieth of the size."""
-    rise = np.clip((TIME - 0.12) / 0.05, 0, 1)
-    back = np.clip((TIME - 0.2) / 0.05, 0, 1) if kind == "pulse" else 0 * TIME
+    rise = np.clip((time - 0.12) / 0.05, 0, 1)
+    back = np.clip((time - 0.2) / 0.05, 0, 1) if kind == "pulse" else 0 * time
     there, again = (10 * s**3 - 15 * s**4 + 6 * s**5 for s in (rise, back))
     return 0.02 * size * (there - again)
 
 
-def trials(model, values, seed=1, noise=1e-3, conditions=None, driven="torque"):
+def trials(model, values, seed=1, noise=1e-3, conditions=None, driven="torque", time=TIME):
     """Trials of a model of the library, with white noise of a relative size in the response."""
     conditions = conditions or [("pulse", 8), ("pulse", -16), ("step", 4), ("step", -6)]
     rng = np.random.default_rng(seed)
@@ -32,16 +32,16 @@ def trials(model, values, seed=1, noise=1e-3, conditions=None, driven="torque"):
     out = []
     for i, (kind, size) in enumerate(conditions):
         if driven == "torque":
-            given = torque(kind, size)
-            drive = SampledTorque(given).drive(TIME)
+            given = torque(time, kind, size)
+            drive = SampledTorque(given).drive(time)
         else:
-            given = turned(kind, size)
-            drive = imposed_motion(TIME, given)
+            given = turned(time, kind, size)
+            drive = imposed_motion(time, given)
         response = simulate(model, theta, drive)
         sd = noise * np.sqrt(np.mean(response**2))
         noisy = response + sd * rng.standard_normal(response.size)
         pair = (given, noisy) if driven == "torque" else (noisy, given)
-        out.append(Trial(TIME, *pair, driven=driven, name=f"t{i}", condition=kind))
+        out.append(Trial(time, *pair, driven=driven, name=f"t{i}", condition=kind))
     return out
 
 

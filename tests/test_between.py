@@ -15,6 +15,7 @@ from identifiability.joint.effects import EFFECTS
 from identifiability.joint.model import KBI
 
 LIBRARY = {"second_mass": EFFECTS["second_mass"]}
+FINE = np.arange(500) / 1000
 KBI_OF = np.array([JOINT["K"], JOINT["B"], JOINT["I"]])
 
 
@@ -22,7 +23,7 @@ def sampled(every, noise=1e-3, seed=3):
     """Trials and held-out ones of K, B and I at 1,000 Hz over so many, their angle imposed."""
     random = np.random.default_rng(seed)
     parts = [
-        trials(KBI(), JOINT, random, conditions=conditions, noise=noise, driven="angle")
+        trials(KBI(), JOINT, random, noise, conditions, "angle", time=FINE)
         for conditions in (None, HELD)
     ]
     return [
@@ -107,7 +108,7 @@ def test_an_effect_is_found_beside_corners():
     }
     parts = []
     for seed, conditions in ((3, None), (4, HELD)):
-        whole = trials(model, values, seed, conditions=conditions, driven="angle")
+        whole = trials(model, values, seed, conditions=conditions, driven="angle", time=FINE)
         parts.append([t.decimate(4) for t in whole])
     study = Investigation(*parts, library=LIBRARY)
     assert study.claim(study.weigh()).sets == (("second_mass",),)

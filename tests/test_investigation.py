@@ -72,13 +72,13 @@ def test_noise_floor_is_that_of_the_noise():
 def test_one_record_is_split_in_halves():
     both = [("pulse", 8)]
     first = trials(KBI(), JOINT, conditions=both)[0]
-    t = np.arange(1000) / 1000
+    t = np.arange(500) / 500
     double = Trial(
         t, np.tile(first.torque, 2), np.tile(first.angle, 2), name="long", condition="pulse"
     )
     split = gather([double])
     assert split.how_held_out == "the second half of the record"
-    assert split.fitted[0].last == split.held_out[0].first == 500
+    assert split.fitted[0].last == split.held_out[0].first == 250
 
 
 @pytest.mark.parametrize(("share", "fitted"), [(0.4, "first"), (0.6, "second")])

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from functools import cached_property
 
+from threadpoolctl import threadpool_limits
+
 from identifiability.inference.widths import Widths
 from identifiability.investigation.fits.baseline import (
     fit_baseline,
@@ -47,6 +49,9 @@ _MOVING = (
     "the joint already moves before the first onset, as K, B and I say it should: the noise is not"
     " known from there"
 )
+
+# Linear algebra of many small matrices: more threads wait for each other, and sum in another order.
+_one_thread = threadpool_limits.wrap(limits=1)
 
 
 class Investigation:
@@ -151,6 +156,7 @@ class Investigation:
         """What a model leaves, as a torque of which nothing is assumed but its family."""
         return unexplained(self.bench, candidate, seed=seed)
 
+    @_one_thread
     def weigh(self, *, most: int | None = None, seed: int = 1) -> Probabilities:
         """Probabilities of the sets of effects that may be missing, "none of these" among them.
 
@@ -191,6 +197,7 @@ class Investigation:
         """Every width of a fitted model's parameters, as of K, B and I."""
         return parameter_widths(self.bench, candidate, seed=seed)
 
+    @_one_thread
     def smallest_seen(self, candidate: Candidate, *, seed: int = 1) -> tuple[Detectable, ...]:
         """Smallest effects that would have been seen beside a fitted model."""
         evaluator = self._evaluator(seed)
