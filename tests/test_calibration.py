@@ -1,6 +1,7 @@
 """The published calibration of probabilities: page and README say what the record says."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -27,7 +28,7 @@ def test_the_page_is_that_of_the_record(record):
 def test_the_record_counts_its_cases(record):
     scores = [score_from(plain) for plain in record["scores"]]
     found = calibration.record(scores, n=record["cases"], seed=record["seed"])
-    for part in ("tiers", "claims", "reliability", "scores"):
+    for part in ("tiers", "claims", "reliability", "joint", "scores"):
         assert json.loads(json.dumps(found[part])) == record[part]
     expected = {
         spec.name
@@ -80,6 +81,21 @@ def test_only_effects_of_one_form_are_the_same():
 def a_score(rows, truth):
     case = ("case", "singles", "torque", "white", 1e-4, False)
     return BlindScore(*case, truth, "effects", (), 0.0, rows, "right", 0.0)
+
+
+def test_intervals_are_counted_where_the_truth_was_claimed():
+    nothing = replace(
+        a_score((((), 1.0),), ()), joint=(("K", 30.0, 31.0, 0.6), ("I", 0.1, 0.1, 0.0))
+    )
+    named = replace(
+        a_score(((("gravity",), 1.0),), ("gravity",)), joint=(("I", 0.1, 0.103, 0.001),)
+    )
+    wrong = replace(nothing, outcome="wrong")
+    without, with_effects = calibration.record([nothing, named, wrong], n=3, seed=1)["joint"]
+    # One at a bound has no interval.
+    assert (without["n"], without["covered"]) == (1, 1)
+    assert (with_effects["n"], with_effects["covered"]) == (1, 0)
+    assert with_effects["error"] == pytest.approx(0.03)
 
 
 def test_scores_are_best_for_who_is_sure_and_right():

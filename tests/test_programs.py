@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from identifiability.inference.problem import Program, _identity
+from identifiability.inference.problem import Program
 from identifiability.joint import programs
 from identifiability.joint.effects import EFFECTS
 from identifiability.joint.model import KBI
@@ -141,7 +141,7 @@ def test_an_effect_of_ones_own_is_not_kept():
     of_the_package, own = (
         Program(KBI() + effect(), (0, 1, 2)) for effect in (EFFECTS["cubic_stiffness"], Own)
     )
-    assert _identity(of_the_package)
-    assert _identity(own) is None
+    assert programs._identity(of_the_package)
+    assert programs._identity(own) is None
     others = (of_the_package._replace(free=(0, 1)), of_the_package._replace(order=2))
-    assert len({_identity(one) for one in (of_the_package, *others)}) == 3
+    assert len({programs._identity(one) for one in (of_the_package, *others)}) == 3

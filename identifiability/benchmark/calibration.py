@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from identifiability.benchmark.blind import TIERS, BlindSpec, blind_cases
+from identifiability.benchmark.cases import HiddenCase
 from identifiability.benchmark.score import matched, wilson
 from identifiability.investigation.posterior.probabilities import Probabilities
 from identifiability.investigation.session import Investigation
@@ -28,6 +29,7 @@ BINS = (0.0, 0.05, 0.2, 0.5, 0.8, 0.95, 1.0 + 1e-9)
 """Edges of the bins of a reliability diagram."""
 
 _TIME_LIMIT = 1800.0  # for one case [s]
+_NORMAL_95 = 1.96  # standard deviations of half a 95 % interval
 _LEAST = 1e-12  # probability that a truth is given at least, in the log score
 
 
@@ -59,6 +61,9 @@ class BlindScore:
         false is named, or something unknown is claimed where there is nothing. "failed".
     seconds : float
     failure : str
+    joint : tuple of (str, float, float, float)
+        Name, true value, estimate and standard deviation of K, B and I in the true set of effects,
+        where that was weighed; of I alone where there are effects.
     """
 
     name: str
@@ -75,6 +80,7 @@ class BlindScore:
     outcome: str
     seconds: float
     failure: str = ""
+    joint: tuple[tuple[str, float, float, float], ...] = ()
 
     @property
     def of_truth(self) -> float:
@@ -144,6 +150,34 @@ def score(spec: BlindSpec) -> BlindScore:
         tuple((row.effects, row.probability) for row in found.rows),
         outcome_of(truth, claim.kind, claim.sets),
         time.perf_counter() - began,
+        joint=_joint(case, found),
+    )
+
+
+def _joint(case: HiddenCase, found: Probabilities) -> tuple[tuple[str, float, float, float], ...]:
+    """K, B and I as they are and as they were found: see `BlindScore`.
+
+    What K and B are of a joint with an effect depends on the equations.
+    """
+    weighed = found.sets.get(tuple(sorted(case.truth)))
+    if weighed is None or case.kind == "unknown":
+        return ()
+    size = float(case.parameters["size"])
+
+    def of(*names: str) -> float:
+        return size * sum(float(case.parameters[name]) for name in names)
+
+    true = {
+        "K": of("passive_stiffness", "muscle_stiffness"),
+        "B": of("passive_damping", "muscle_damping"),
+        "I": of("inertia"),
+    }
+    rows = zip(true.items(), weighed.joint_sd, strict=True)
+    values = weighed.candidate.values
+    return tuple(
+        (name, value, values[name], sd)
+        for (name, value), sd in rows
+        if name == "I" or not case.truth
     )
 
 
@@ -196,6 +230,7 @@ def score_from(plain: Mapping[str, Any]) -> BlindScore:
         "truth": None if plain["truth"] is None else tuple(plain["truth"]),
         "sets": tuple(tuple(names) for names in plain["sets"]),
         "rows": tuple((None if e is None else tuple(e), p) for e, p in plain["rows"]),
+        "joint": tuple((name, *values) for name, *values in plain["joint"]),
     }
     return BlindScore(**{**plain, **parts})
 
@@ -233,6 +268,7 @@ def record(scores: Sequence[BlindScore], *, n: int, seed: int) -> dict[str, Any]
         ],
         "claims": _claims(scores),
         "reliability": _reliability(scores),
+        "joint": [_joint_counted(effects, scores) for effects in (False, True)],
         "scores": [asdict(one) for one in scores],
     }
 
@@ -268,6 +304,22 @@ def _claims(scores: Sequence[BlindScore]) -> dict[str, Any]:
     named = [s for s in scores if s.sets]
     right = sum(s.outcome in ("right", "partly") for s in named)
     return {"n": len(named), "right": right, "interval": list(wilson(right, len(named)))}
+
+
+def _joint_counted(effects: bool, scores: Sequence[BlindScore]) -> dict[str, Any]:
+    """How often intervals of K, B and I cover, where the truth was claimed."""
+    mine = [s for s in scores if s.outcome == "right" and s.truth is not None]
+    found = [row for s in mine if bool(s.truth) == effects for row in s.joint if row[3] > 0]
+    covered = sum(abs(estimate - true) <= _NORMAL_95 * sd for _, true, estimate, sd in found)
+    errors = [abs(estimate / true - 1) for _, true, estimate, _ in found]
+    return {
+        "effects": effects,
+        "n": len(found),
+        "covered": covered,
+        "interval": list(wilson(covered, len(found))),
+        "error": float(np.median(errors)) if errors else None,
+        "largest_error": float(np.max(errors)) if errors else None,
+    }
 
 
 def _reliability(scores: Sequence[BlindScore]) -> list[dict[str, Any]]:

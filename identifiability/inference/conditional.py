@@ -16,7 +16,8 @@ import scipy.optimize
 from jax import Array
 
 from identifiability.inference.fitting import inside
-from identifiability.inference.problem import Data, Problem, Program, compiled, pad, whitened
+from identifiability.inference.problem import Data, Problem, Program, pad, whitened
+from identifiability.joint.programs import compiled
 
 _ITERATIONS, _MOST_ROUNDS = 6, 12
 _SIZES = (32, 64, 512)

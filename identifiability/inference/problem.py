@@ -6,12 +6,12 @@ samplers and quadrature see only parameter vectors, whitened residuals and log p
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from threading import local
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -24,13 +24,11 @@ from identifiability.inference.likelihood import coloured
 from identifiability.inference.likelihood.coloured import Colour, ColourArrays
 from identifiability.joint.integrator import integrate
 from identifiability.joint.model import Model
-from identifiability.joint.programs import THREADS, make_room, quickly_compiled
+from identifiability.joint.programs import THREADS, compiled, make_room
 from identifiability.joint.response import exact_response
 from identifiability.joint.scheme import Scheme
-from identifiability.joint.traced import Traced
 from identifiability.measurement.noise import Noise
 from identifiability.measurement.perturbations import Drive
-from identifiability.provenance import code_fingerprint
 
 # Batches are padded to one of a few sizes, so that a few compilations serve any number of points.
 # A batch of long records is kept small: what does not fit the processor's cache is slower.
@@ -587,19 +585,6 @@ def whitened(program: Program, x: ArrayLike, template: ArrayLike, data: Data) ->
 def _negative_log_likelihood(program: Program, x: Array, template: Array, data: Data) -> Array:
     white = whitened(program, x, template, data)
     return 0.5 * white @ white
-
-
-def _identity(program: Program) -> str | None:
-    modules = sorted({type(effect).__module__ for effect in program.model.effects})
-    if not all(module.startswith("identifiability.") for module in modules):
-        return None
-    return f"{program} {code_fingerprint(__name__, *modules)}"
-
-
-def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Compile a function of a `Program` and arrays; what was traced of it is kept on disk."""
-    module = function.__module__
-    return quickly_compiled(function, Traced(f"{module}.{function.__name__}", module, _identity))
 
 
 _responses = compiled(_stacked_responses)

@@ -7,13 +7,15 @@ from functools import cache, wraps
 from itertools import count
 from pathlib import Path
 from threading import Lock
-from typing import Any
+from typing import Any, Protocol
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
+from identifiability.joint.model import Model
 from identifiability.joint.traced import Traced
+from identifiability.provenance import code_fingerprint
 
 # A search for effects compiles a hundred programs, and calls each some dozens of times. Costly
 # passes save next to nothing here and take a third of the compiler's time; the newer emitters of
@@ -56,31 +58,62 @@ def quickly_compiled(
     """
 
     @cache
-    def compiled() -> Callable[..., Any]:
+    def plain() -> Callable[..., Any]:
         return jax.jit(function, static_argnums=0, compiler_options=_understood())
 
     @wraps(function)
     def call(static: Hashable, *arguments: Any) -> Any:
-        identity = traced and traced.identity(static)
-        if traced is None or identity is None:
-            return compiled()(static, *arguments)
+        if traced is None:
+            return plain()(static, *arguments)
         leaves, tree = jax.tree.flatten(arguments)
         leaves = [leaf if hasattr(leaf, "dtype") else np.asarray(leaf) for leaf in leaves]
         key = (function, static, tree, *((leaf.shape, str(leaf.dtype)) for leaf in leaves))
+        program = _kept.get(key)
+        if program is not None:
+            return program(*leaves)
+        identity = traced.identity(static)
+        if identity is None:
+            return plain()(static, *arguments)
+
+        def flat(*leaves: Any) -> Any:
+            return function(static, *jax.tree.unflatten(tree, leaves))
+
         with _guard:
             lock = _locks.setdefault(key, Lock())
         with lock:
             if key not in _kept:
-
-                def flat(*leaves: Any) -> Any:
-                    return function(static, *jax.tree.unflatten(tree, leaves))
-
                 found = traced.program(f"{identity} {tree}", flat, leaves)
                 _kept[key] = jax.jit(found, compiler_options=_understood())
             program = _kept[key]
         return program(*leaves)
 
     return call
+
+
+class _OfModel(Protocol):
+    """What a program of a model is specialised to; its representation says it all."""
+
+    @property
+    def model(self) -> Model: ...
+
+
+def compiled(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Compile a function of a model and arrays, and keep on disk what was traced of it.
+
+    Parameters
+    ----------
+    function : callable
+        Of a named tuple with a model in it, then trees of arrays.
+    """
+    module = function.__module__
+    return quickly_compiled(function, Traced(f"{module}.{function.__name__}", module, _identity))
+
+
+def _identity(program: _OfModel) -> str | None:
+    modules = sorted({type(effect).__module__ for effect in program.model.effects})
+    if not all(module.startswith("identifiability.") for module in modules):
+        return None
+    return f"{program} {code_fingerprint(__name__, *modules)}"
 
 
 @cache

@@ -6,7 +6,7 @@ with three signals is an angle with its derivatives and the response is the torq
 
 from __future__ import annotations
 
-from functools import partial
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -19,7 +19,7 @@ from identifiability.joint.effects.base import Motion
 from identifiability.joint.exponentials import matrix_exponential
 from identifiability.joint.integrator import integrate
 from identifiability.joint.model import Model
-from identifiability.joint.programs import make_room
+from identifiability.joint.programs import compiled, make_room
 from identifiability.joint.scheme import EXACT, MOST_SUBSTEPS, Scheme
 from identifiability.measurement.perturbations import Drive
 
@@ -74,13 +74,16 @@ def simulate(
     return found.reshape(*theta.shape[:-1], -1)
 
 
-def _by(scheme: Scheme, model: Model, thetas: np.ndarray, drive: Drive) -> np.ndarray:
+def _by(
+    scheme: Scheme, model: Model, thetas: np.ndarray, drive: Drive, room: int = 0
+) -> np.ndarray:
+    """Responses by a scheme, with room for the past of so many steps an interval at least."""
     scheme.check(model)
-    if scheme.exact:
-        return np.asarray(_exact_batch(model, thetas, drive_arrays(drive)))
-    room = scheme.substeps if model.delayed else 0
-    arrays = drive_arrays(drive)
-    return np.asarray(_integrated_batch(model, scheme.order, room, thetas, arrays, scheme.substeps))
+    program, substeps = _Program(model), 0
+    if not scheme.exact:
+        substeps = scheme.substeps
+        program = _Program(model, scheme.order, max(room, substeps) if model.delayed else 0)
+    return np.asarray(_batch(program, thetas, drive_arrays(drive), np.array(substeps)))
 
 
 def _converged(model: Model, thetas: np.ndarray, drive: Drive) -> np.ndarray:
@@ -91,10 +94,11 @@ def _converged(model: Model, thetas: np.ndarray, drive: Drive) -> np.ndarray:
     # The fourth order, so that the finer of two responses is far better than their difference.
     start = max(s.substeps // (4 if s.order == 2 else 1) for s in wanted)
     scheme = Scheme(min(max(start, 1), MOST_SUBSTEPS // 2))
-    coarse = _by(scheme, model, thetas, drive)
+    room = scheme.halved.substeps  # so that one program computes both
+    coarse = _by(scheme, model, thetas, drive, room)
     while not scheme.finest:
         scheme = scheme.halved
-        fine = _by(scheme, model, thetas, drive)
+        fine = _by(scheme, model, thetas, drive, room)
         with np.errstate(all="ignore"):
             moved = np.sum((fine - coarse) ** 2, axis=1) > _CONVERGED * np.sum(fine**2, axis=1)
         # What is not finite says so itself.
@@ -192,13 +196,21 @@ def _angle_driven_system(model: Model, theta: ArrayLike) -> tuple[Array, Array, 
     return system, feed, read, direct
 
 
-@partial(jax.jit, static_argnums=0)
-def _exact_batch(model: Model, thetas: Array, arrays: DriveArrays) -> Array:
-    return jax.vmap(lambda theta: exact_response(model, theta, arrays))(thetas)
+class _Program(NamedTuple):
+    """What a compiled function is specialised to: an order of 0 is the exact response."""
+
+    model: Model
+    order: int = 0
+    room: int = 0
 
 
-@partial(jax.jit, static_argnums=(0, 1, 2))
-def _integrated_batch(
-    model: Model, order: int, room: int, thetas: Array, arrays: DriveArrays, substeps: int
-) -> Array:
-    return jax.vmap(lambda theta: integrate(model, theta, arrays, substeps, order, room))(thetas)
+@compiled
+def _batch(program: _Program, thetas: Array, arrays: DriveArrays, substeps: Array) -> Array:
+    model, order, room = program
+
+    def respond(theta: Array) -> Array:
+        if not order:
+            return exact_response(model, theta, arrays)
+        return integrate(model, theta, arrays, substeps, order, room)
+
+    return jax.vmap(respond)(thetas)

@@ -77,6 +77,24 @@ def calibration_page(record: Mapping[str, Any]) -> str:
                 if r["n"]
             ],
         ),
+        "K, B and I where nothing is missing and that was claimed, and I where all effects were "
+        "named; 95 %\nintervals by the curvature of the posterior (the hidden effects' equations "
+        "are not the library's):",
+        table(
+            ["parameters", "intervals", "cover", "95 % interval", "median error", "largest"],
+            [
+                [
+                    "I, effects named" if j["effects"] else "K, B, I, nothing missing",
+                    str(j["n"]),
+                    str(j["covered"]),
+                    f"{100 * j['interval'][0]:.0f} to {100 * j['interval'][1]:.0f} %",
+                    percent(j["error"]),
+                    percent(j["largest_error"]),
+                ]
+                for j in record["joint"]
+                if j["n"]
+            ],
+        ),
         *_missed([s for s in record["scores"] if s["outcome"] in ("wrong", "failed")]),
     ]
     return "\n\n".join(parts) + "\n"

@@ -149,6 +149,12 @@ class Evaluated:
     beyond: float = 0.0
     sought: Sequence[Contender] = ()
 
+    @property
+    def joint_sd(self) -> np.ndarray:
+        """Standard deviations of K, B and I by curvature, shape (3,); 0 at a bound."""
+        spread = self.turns[:3] @ np.linalg.pinv(self.precision, hermitian=True) @ self.turns[:3].T
+        return np.asarray(np.sqrt(np.maximum(np.diag(spread), 0.0)))
+
 
 @dataclass(frozen=True, eq=False)
 class Evaluator:
