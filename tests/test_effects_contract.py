@@ -2,6 +2,7 @@
 
 import inspect
 import itertools
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -24,8 +25,8 @@ from oracles import agree
 from identifiability.joint.effects import EFFECTS
 from identifiability.joint.effects.base import Effect, Motion
 from identifiability.joint.integrator import integrate
-from identifiability.joint.model import KBI
-from identifiability.joint.programs import quickly_compiled
+from identifiability.joint.model import KBI, Model
+from identifiability.joint.programs import compiled
 from identifiability.joint.response import drive_arrays, exact_response, simulate
 from identifiability.measurement.perturbations import Drive, SampledTorque, imposed_motion
 
@@ -62,7 +63,14 @@ def driven(request):
     return request.param
 
 
-@quickly_compiled
+class Response(NamedTuple):
+    """Of a model, solved exactly or integrated."""
+
+    model: Model
+    exact: bool = False
+
+
+@compiled
 def slopes(kind, values, size, arrays):
     """A response, and its first derivatives with respect to parameters in units of their size."""
     model, exact = kind
@@ -79,12 +87,12 @@ def slopes(kind, values, size, arrays):
     return response, derivatives
 
 
-@quickly_compiled
-def bends(model, values, size, directions, arrays):
+@compiled
+def bends(kind, values, size, directions, arrays):
     """First and second derivatives of the integrated response along each of some directions."""
 
     def response(x):
-        return integrate(model, values + size * x, arrays, 1)
+        return integrate(kind.model, values + size * x, arrays, 1)
 
     def along(direction):
         def first(x):
@@ -258,13 +266,15 @@ def test_derivatives_are_right(team, driven):
     if driven == "torque" and team not in {"in pieces", "linear"}:
         askew = np.random.default_rng(0).uniform(0.5, 1.0, k)
         directions = np.vstack([np.eye(k), askew])
-        firsts, seconds = map(np.asarray, bends(model, values, size, directions, arrays))
+        firsts, seconds = map(np.asarray, bends(Response(model), values, size, directions, arrays))
         moved = [values + shift * askew * size for shift in shifts]
-        nearby = [np.asarray(bends(model, at, size, directions, arrays)[0])[-1] for at in moved]
+        nearby = [
+            np.asarray(bends(Response(model), at, size, directions, arrays)[0])[-1] for at in moved
+        ]
         agree(seconds[-1], differences(nearby, step), 1e-6)
         found = firsts[:-1].T
     else:
-        found = np.asarray(slopes((model, False), values, size, arrays)[1])
+        found = np.asarray(slopes(Response(model), values, size, arrays)[1])
     for column in range(k):
         agree(found[:, column], expected[:, column], 1e-6)
     # Each of the effects' own parameters matters.
@@ -277,9 +287,9 @@ def test_integrated_and_exact_responses_agree(driven):
     # Steps are exact for a torque that is linear within them, but not for an imposed motion.
     rtol = 1e-9 if driven == "torque" else 1e-6
     data = (np.abs(values), drive_arrays(drive))
-    response, expected = slopes((model, True), values, *data)
+    response, expected = slopes(Response(model, exact=True), values, *data)
     agree(respond(model, values, drive), response, rtol)
-    agree(slopes((model, False), values, *data)[1], expected, rtol)
+    agree(slopes(Response(model), values, *data)[1], expected, rtol)
 
 
 def test_no_answer_before_its_cause(effect):
