@@ -105,6 +105,30 @@ def test_a_program_is_traced_once(kept):
     assert first[0] == pytest.approx(2 * np.sin(np.linspace(0, 1, 5)))
 
 
+def test_recordings_of_all_lengths_share_what_was_traced(kept):
+    scaled, traced = kept
+    for n in (100, 200, 1000):
+        x = np.linspace(0, 1, n)
+        assert np.asarray(scaled(2, x)) == pytest.approx(2 * np.sin(x))
+    assert traced == [2]
+
+
+def test_what_depends_on_the_length_is_traced_for_each(kept):
+    _, traced = kept
+
+    def summed(static, x):
+        traced.append(x.shape[0])
+        return sum(x[i] for i in range(x.shape[0]))
+
+    summed = programs.quickly_compiled(summed, Traced("summed", __name__, str))
+    for _ in range(2):
+        assert [float(summed(2, np.ones(n))) for n in (100, 101)] == [100, 101]
+        forget()
+    # Once for all lengths, in vain, and once for each.
+    assert traced[1::2] == [100, 101]
+    assert len(traced) == 4
+
+
 def test_one_that_cannot_be_named_is_not_kept(kept, tmp_path):
     scaled, _ = kept
     assert scaled(3, np.ones(2)) == pytest.approx(3 * np.sin(1) * np.ones(2))

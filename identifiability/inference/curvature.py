@@ -47,12 +47,6 @@ class Curvature:
         inverse = self.covariance
         return inverse @ self.gauss_newton @ inverse
 
-    @property
-    def eigen(self) -> tuple[np.ndarray, np.ndarray]:
-        """Eigenvalues, ascending, and eigenvectors (columns) of the Hessian."""
-        values, vectors = np.linalg.eigh(self.hessian)
-        return values, vectors
-
 
 def curvature(problem: Problem, x: np.ndarray) -> Curvature:
     """Curvature of the negative log likelihood at `x`, shape (k,), by automatic differentiation."""

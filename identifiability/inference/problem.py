@@ -475,6 +475,10 @@ class Problem:
         stacked = np.asarray(_responses(self.program, x, self.template, self.data))
         return [y[: o.measured.size] for y, o in zip(stacked, self.observations, strict=False)]
 
+    def by_observation(self, values: np.ndarray) -> np.ndarray:
+        """Residuals, differences of such, or Jacobians, with a leading axis of observations."""
+        return values.reshape(max(len(self.observations), self.room[0]), -1, *values.shape[1:])
+
     def residuals(self, x: np.ndarray) -> np.ndarray:
         """Whitened residuals, model minus measurement; 0 at samples that are not compared."""
         return self._linearise(x)[0]

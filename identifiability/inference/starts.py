@@ -18,12 +18,12 @@ _WIDE = (0.15, 0.3, 0.55, 1.0, 1.8, 4.0, 10.0)
 _NARROW = 3  # ratio of bounds up to which starts between them are equally spaced
 _SOFTER = (3.0, 10.0)  # stiffness of a tendon over the joint's
 _WIDELY_SOFTER = (1.0, 3.0, 10.0)
-_MOST_STARTS = 6
+_MOST_STARTS, _MOST_WIDELY = 6, 28
 _PART = 0.1  # of the torque, that a property makes of which regression finds nothing
 
 
 def starting_values(
-    model: Model, known: Mapping[str, float], *, most: int = _MOST_STARTS, wide: bool = False
+    model: Model, known: Mapping[str, float], *, most: int | None = None, wide: bool = False
 ) -> list[dict[str, float]]:
     """Starts for a model some of whose parameters are known from a smaller one.
 
@@ -36,11 +36,12 @@ def starting_values(
     model : Model
     known : mapping of str to float
         K, B, I and the parameters of the effects that were there before.
-    most : int
-        Number of starts.
+    most : int, optional
+        Number of starts; more by default where they are wide.
     wide : bool
         Whether shapes are spread further, for starts of which the best will be chosen.
     """
+    most = most or (_MOST_WIDELY if wide else _MOST_STARTS)
     factors, softer = (_WIDE, _WIDELY_SOFTER) if wide else (_FACTORS, _SOFTER)
     grids: list[list[float]] = []
     names = model.parameter_names

@@ -253,7 +253,7 @@ class _Hidden:
             if having.integration.finest:
                 return None
             having = having.with_scheme(having.integration.improved(error))
-        rows = (after - before).reshape(max(len(plain.observations), plain.room[0]), -1)
+        rows = plain.by_observation(after - before)
         observations = [
             replace(o, measured=o.measured + row[: o.measured.size])
             for o, row in zip(plain.observations, rows, strict=False)

@@ -20,6 +20,23 @@ from identifiability.files import replacing
 from identifiability.provenance import code_fingerprint
 
 _FOLDER = "traced"
+_LONG = 64  # from which a size is that of a recording, not of a model
+
+
+def _open_shapes(arguments: Sequence[Any]) -> list[jax.ShapeDtypeStruct]:
+    """Shapes in which what is long has any length, the same wherever it is the same here."""
+    long = sorted({size for a in arguments for size in a.shape if size >= _LONG})
+    scope = export.SymbolicScope([f"n{i} >= {_LONG}" for i in range(len(long))])
+    return [
+        jax.ShapeDtypeStruct(
+            export.symbolic_shape(
+                ", ".join(f"n{long.index(s)}" if s in long else str(s) for s in a.shape),
+                scope=scope,
+            ),
+            a.dtype,
+        )
+        for a in arguments
+    ]
 
 
 @dataclass(frozen=True)
@@ -42,7 +59,10 @@ class Traced:
     def program(
         self, identity: str, function: Callable[..., Any], arguments: Sequence[Any]
     ) -> Callable[..., Any]:
-        """A function as it was traced for arrays of these shapes, now or earlier.
+        """A function as it was traced for arrays of such shapes, now or earlier.
+
+        Numbers of samples are left open, so that recordings of all lengths share it; it must not
+        ask whether such a number equals another.
 
         Parameters
         ----------
@@ -52,27 +72,29 @@ class Traced:
             Of arrays.
         arguments : sequence of array
         """
-        shapes = [jax.ShapeDtypeStruct(a.shape, a.dtype) for a in arguments]
-        path = self._path(f"{identity} {shapes}")
-        if path is None:
-            return function
-        try:
-            return export.deserialize(bytearray(path.read_bytes())).call
-        except Exception:
-            pass  # not there, or not what this version of JAX wrote
-        try:
-            exported = export.export(jax.jit(function))(*shapes)
-            with replacing(path) as temporary:
-                temporary.write_bytes(exported.serialize())
-        except (ValueError, OSError):
-            return function  # not all that a compiler knows can be kept; nor has every disk room
-        return exported.call
-
-    def _path(self, text: str) -> Path | None:
-        """File of a program; none where nothing that is compiled is kept."""
+        exact = [jax.ShapeDtypeStruct(a.shape, a.dtype) for a in arguments]
         cache = getattr(jax.config, "jax_compilation_cache_dir", None)
         if not cache:
-            return None
+            return function  # nothing that is compiled is kept
+        folder, shapes = Path(cache) / _FOLDER, (_open_shapes(arguments), exact)
+        paths = {folder / self._digest(f"{identity} {s}"): s for s in shapes}
+        for path in paths:
+            try:
+                return export.deserialize(bytearray(path.read_bytes())).call
+            except Exception:
+                continue  # not there, or not what this version of JAX wrote
+        for path, specs in paths.items():
+            try:
+                exported = export.export(jax.jit(function))(*specs)
+                with replacing(path) as temporary:
+                    temporary.write_bytes(exported.serialize())
+            except Exception:
+                continue  # not one for all lengths, or not to be kept; or the disk is full
+            return exported.call
+        return function
+
+    def _digest(self, text: str) -> str:
+        """Name of a program's file."""
         parts = (
             self.name,
             code_fingerprint(self.module),
@@ -81,5 +103,4 @@ class Traced:
             jax.default_backend(),
             text,
         )
-        digest = hashlib.sha256("\n".join(parts).encode()).hexdigest()[:32]
-        return Path(cache) / _FOLDER / digest
+        return hashlib.sha256("\n".join(parts).encode()).hexdigest()[:32]

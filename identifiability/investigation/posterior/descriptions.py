@@ -16,8 +16,6 @@ from identifiability.investigation.posterior.evidence import Evaluated
 from identifiability.joint.effects import DESCRIPTIONS
 from identifiability.joint.model import Model
 
-_STARTS = 28
-
 
 @dataclass(frozen=True, eq=False)
 class Description:
@@ -68,7 +66,7 @@ def descriptions_of(
         model = model + kind()
         rest = tuple(sorted(k for k in own if k not in replaced))
         refined = tuple(k for k in found.refined if k in rest)
-        starts = starting_values(model, _shared(found, model), most=_STARTS, wide=True)
+        starts = starting_values(model, _shared(found, model), wide=True)
         if any(p.plain is not None for p in kind.parameters):
             plain = _renamed(found, replaced[0], key, model) or starts[0]
             free = [name for name, p in model.parameters.items() if p.plain is None]

@@ -257,7 +257,7 @@ class Evaluator:
         if problem.integration.exact:
             return None
         moved = problem.halved().residuals(found.x) - problem.residuals(found.x)
-        rows = moved.reshape(max(len(problem.observations), problem.room[0]), -1, 1)
+        rows = problem.by_observation(moved[:, None])
         white = found.weights.whitened(found.weights.band.stretches(rows))
         error = float(np.sum(white**2)) / problem.integration.shown
         if not error > _SOLVER:

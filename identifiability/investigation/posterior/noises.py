@@ -127,9 +127,8 @@ def raw_residuals(
 ) -> tuple[list[np.ndarray], list[np.ndarray] | None]:
     """Residual and its derivatives by stretch, side by side; the same of what probes change."""
     n, rows = len(problem.observations), len(band.observations)
-    residuals = problem.residuals(x).reshape(max(n, band.room[0]), -1, 1)
-    jacobian = problem.jacobian(x).reshape(*residuals.shape[:2], -1)
-    both = np.concatenate([residuals, jacobian], axis=2)
+    residuals = problem.by_observation(problem.residuals(x)[:, None])
+    both = np.concatenate([residuals, problem.by_observation(problem.jacobian(x))], axis=2)
     both = np.clip(np.nan_to_num(both, nan=_HUGE), -_HUGE, _HUGE)
     trials = band.stretches(both[:rows])
     if n == rows:

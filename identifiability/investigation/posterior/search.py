@@ -17,7 +17,7 @@ from identifiability.joint.effects import Effect
 from identifiability.progress import Progress, silent
 
 _SEEN = 6  # effects that are added to a set that has effects already
-_STARTS, _STARTS_BESIDE = 28, 12  # shapes that are tried as starts, alone and beside others
+_STARTS_BESIDE = 12  # shapes that are tried as starts beside other effects
 _TAKEN_UP = 3  # sets of one size that are evaluated further, at most
 _REFINED = 3  # sets of one size that are refined, at most
 _WORTH_REFINING = 3.0  # nats before K, B and I alone
@@ -129,7 +129,7 @@ class _Search:
         """A set with one effect more, from its own values and the effect's alone."""
         model, values = current.model + effect, current.values
         if not current.model.effect_keys:
-            starts = starting_values(model, values, most=_STARTS, wide=True)
+            starts = starting_values(model, values, wide=True)
             return Job(model, starts, current.refined, current.weights)
         starts = starting_values(model, values, most=_STARTS_BESIDE, wide=True)
         shape = {

@@ -64,7 +64,7 @@ def strongest(
 def _residual(evaluator: Evaluator, model: Model, values: Mapping[str, float]) -> np.ndarray:
     """By observation and sample, those of the probes included."""
     problem = evaluator.band.problem(model, probes=evaluator.reference.probes)
-    return problem.residuals(problem.free_vector(values))
+    return problem.by_observation(problem.residuals(problem.free_vector(values))[:, None])
 
 
 class _Left:
@@ -85,9 +85,8 @@ class _Left:
 
     def removed(self, change: np.ndarray) -> float:
         """Share of the squares that a change of the right size removes; 0 if it is not finite."""
-        rows = change.reshape(max(len(self.band.observations), self.band.room[0]), -1, 1)
-        if not np.all(np.isfinite(rows)):
+        if not np.all(np.isfinite(change)):
             return 0.0
-        white = self._rest(self.weights.whitened(self.band.stretches(rows))[:, 0])
+        white = self._rest(self.weights.whitened(self.band.stretches(change))[:, 0])
         size = float(white @ white)
         return float(white @ self.residual) ** 2 / size if size > 0 else 0.0
