@@ -11,6 +11,7 @@ from identifiability.measurement.readers import parse_columns, read_trial
 pytestmark = pytest.mark.recordings
 
 
+@pytest.mark.long
 def test_the_silverbox_has_a_cubic_spring_and_neither_a_quadratic_one_nor_friction(shared_data):
     record = read_trial(
         shared_data / "real" / "silverbox_SNLS80mV.csv",
@@ -67,6 +68,7 @@ def test_the_pendulum_has_gravity_then_a_shift_of_the_channels_and_friction(shar
     assert second.rung.values["sensor_delay.delay"] == pytest.approx(-0.016, abs=0.003)
 
 
+@pytest.mark.long
 def test_the_ankle_has_a_stretch_reflex_and_no_sensor_shift(shared_data):
     record = read_trial(
         shared_data / "real" / "reklab_ankle_z.mat",
