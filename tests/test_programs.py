@@ -156,6 +156,17 @@ def test_a_damaged_file_is_traced_anew(kept, tmp_path):
     assert traced == [2, 2]
 
 
+def test_what_cannot_be_written_is_traced_once_all_the_same(kept, monkeypatch):
+    scaled, traced = kept
+
+    def full(path):
+        raise OSError("no space left on device")
+
+    monkeypatch.setattr("identifiability.joint.traced.replacing", full)
+    assert scaled(2, np.ones(4)) == pytest.approx(2 * np.sin(1) * np.ones(4))
+    assert traced == [2]
+
+
 def test_an_effect_of_ones_own_is_not_kept():
     """Its code may be edited where no fingerprint sees it."""
 

@@ -14,7 +14,7 @@ import numpy as np
 
 from identifiability.benchmark.blind import TIERS, BlindSpec, blind_cases
 from identifiability.benchmark.cases import HiddenCase
-from identifiability.benchmark.score import matched, wilson
+from identifiability.benchmark.score import NORMAL_95, matched, wilson
 from identifiability.investigation.posterior.probabilities import Probabilities
 from identifiability.investigation.session import Investigation
 from identifiability.joint.effects import EFFECTS
@@ -29,7 +29,6 @@ BINS = (0.0, 0.05, 0.2, 0.5, 0.8, 0.95, 1.0 + 1e-9)
 """Edges of the bins of a reliability diagram."""
 
 _TIME_LIMIT = 1800.0  # for one case [s]
-_NORMAL_95 = 1.96  # standard deviations of half a 95 % interval
 _LEAST = 1e-12  # probability that a truth is given at least, in the log score
 
 
@@ -310,7 +309,7 @@ def _joint_counted(effects: bool, scores: Sequence[BlindScore]) -> dict[str, Any
     """How often intervals of K, B and I cover, where the truth was claimed."""
     mine = [s for s in scores if s.outcome == "right" and s.truth is not None]
     found = [row for s in mine if bool(s.truth) == effects for row in s.joint if row[3] > 0]
-    covered = sum(abs(estimate - true) <= _NORMAL_95 * sd for _, true, estimate, sd in found)
+    covered = sum(abs(estimate - true) <= NORMAL_95 * sd for _, true, estimate, sd in found)
     errors = [abs(estimate / true - 1) for _, true, estimate, _ in found]
     return {
         "effects": effects,

@@ -10,7 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from identifiability.benchmark.noisy_recordings import KINDS, recording
-from identifiability.benchmark.score import wilson
+from identifiability.benchmark.score import NORMAL_95, wilson
 from identifiability.inference.curvature import curvature
 from identifiability.inference.recordings import fit_with_noise
 from identifiability.provenance import stamp
@@ -157,7 +157,7 @@ def _rows(kind: str, imposed: str, found: Sequence[Arrays]) -> list[Row]:
     rows = []
     for i, name in enumerate(NAMES):
         scaled = error[fitted, i] / sd[fitted, i]
-        covered, n = int(np.sum(np.abs(scaled) < 1.96)), int(fitted.sum())
+        covered, n = int(np.sum(np.abs(scaled) < NORMAL_95)), int(fitted.sum())
         rows.append(
             Row(
                 kind,

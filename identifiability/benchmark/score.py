@@ -7,6 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
+NORMAL_95 = 1.96
+"""Standard deviations of a normal that a 95 % interval reaches to either side."""
+
 
 def matched(truth: Sequence[str], named: Sequence[Sequence[str]]) -> int:
     """Most hidden effects that can each be found in a set of its own."""
@@ -17,7 +20,7 @@ def matched(truth: Sequence[str], named: Sequence[Sequence[str]]) -> int:
     return int(hit[rows, columns].sum())
 
 
-def wilson(successes: int, n: int, z: float = 1.96) -> tuple[float, float]:
+def wilson(successes: int, n: int, z: float = NORMAL_95) -> tuple[float, float]:
     """95 % interval of a proportion (Wilson 1927, J Am Stat Assoc 22: 209-212)."""
     if n == 0:
         return 0.0, 1.0

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -16,6 +17,7 @@ import jax
 import jaxlib
 from jax import export
 
+from identifiability.errors import InputError
 from identifiability.files import replacing
 from identifiability.provenance import code_fingerprint
 
@@ -86,10 +88,12 @@ class Traced:
         for path, specs in paths.items():
             try:
                 exported = export.export(jax.jit(function))(*specs)
-                with replacing(path) as temporary:
-                    temporary.write_bytes(exported.serialize())
+                written = exported.serialize()
             except Exception:
-                continue  # not one for all lengths, or not to be kept; or the disk is full
+                continue  # not one for all lengths, or not to be kept
+            # Where there is no room for it, it serves this process.
+            with suppress(OSError, InputError), replacing(path) as temporary:
+                temporary.write_bytes(written)
             return exported.call
         return function
 
