@@ -12,7 +12,13 @@ from identifiability.joint.effects.base import Motion
 from identifiability.joint.model import KBI
 from identifiability.joint.response import simulate
 from identifiability.joint.scheme import Scheme
-from identifiability.measurement.perturbations import Drive, Impulse, Sinusoid, imposed_motion
+from identifiability.measurement.perturbations import (
+    Drive,
+    Impulse,
+    SampledTorque,
+    Sinusoid,
+    imposed_motion,
+)
 
 TIME = np.linspace(0.0, 0.1, 101)
 INTERVAL = 1e-3
@@ -512,6 +518,34 @@ def test_sensor_lowpass_of_second_order(shape):
     denominator = [shape * tau**2, tau, 1.0] if shape else [tau, 1.0]
     expected = scipy.signal.lsim(([1.0], denominator), signal, TIME)[1]
     agree(recorded("sensor_lowpass", [tau, shape], signal), expected, 1e-7)
+
+
+@pytest.mark.parametrize(
+    ("key", "own"),
+    [("sensor_lowpass", {"time_constant": 0.006}), ("sensor_delay", {"delay": 0.006})],
+)
+@pytest.mark.parametrize("imposed", ["torque", "angle"])
+def test_instruments_with_a_memory_see_the_response_between_samples(key, own, imposed):
+    """Of samples 10 ms apart alone a filter made a torque that was wrong by 2 % of its peak."""
+    coarse = TIME[::10]
+    fine = np.linspace(0.0, 0.1, 10001)
+    if imposed == "angle":
+        position = THERE_AND_BACK
+        drive = imposed_motion(coarse, position(coarse))
+        true = K * position(fine) + B * position.deriv()(fine) + I * position.deriv(2)(fine)
+    else:
+        torque = np.interp(coarse, [0.0, 0.02, 0.03, 0.1], [0.0, 0.0, 9.0, -4.0])
+        drive = SampledTorque(torque).drive(coarse)
+        applied = np.interp(fine, coarse, torque)
+        true = scipy.signal.lsim(([1.0], [I, B, K]), applied, fine)[1]
+    if key == "sensor_lowpass":
+        start = [own["time_constant"] * true[0]]
+        filtered = ([1.0], [own["time_constant"], 1.0])
+        expected = scipy.signal.lsim(filtered, true, fine, X0=start)[1][::1000]
+    else:
+        expected = np.interp(coarse - own["delay"], fine, true)
+    agree(response(key, drive, **own), expected, 3e-4)
+    agree(response(key, drive, scheme=Scheme(16), **own), expected, 3e-4)
 
 
 def test_sensor_lowpass_is_a_butterworth_filter_at_one_half():

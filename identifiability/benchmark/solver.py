@@ -1,9 +1,9 @@
 """How well models are integrated: error of the steps against the effect and against noise.
 
-Every non-linear effect is simulated at nominal and at fast parameters, at sampling rates from 60 to
-2,000 Hz, under an imposed torque and under an imposed angle: in the steps that the investigation
-would take, and in far more. The measure is the error E (Eq. 3) between the two, beside that between
-the joint with the effect and without it.
+Every effect that is not linear, and every instrument with a memory, is simulated at nominal and at
+fast parameters, at sampling rates from 60 to 2,000 Hz, under an imposed torque and under an imposed
+angle: in the steps that the investigation would take, and in far more. The measure is the error E
+(Eq. 3) between the two, beside that between the joint with the effect and without it.
 """
 
 from __future__ import annotations
@@ -13,8 +13,10 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
+import scipy.linalg
 
 from identifiability.joint.effects import EFFECTS
+from identifiability.joint.instruments import readings_of
 from identifiability.joint.model import KBI, Imposed
 from identifiability.joint.response import simulate
 from identifiability.joint.scheme import Scheme
@@ -37,6 +39,8 @@ FAST: dict[str, dict[str, float]] = {
     "hill_force_velocity": {"strength": 20.0, "max_velocity": 5.0, "asymmetry": 0.5},
     "nonlinear_tendon": {"stiffness": 500.0, "hardening": 40.0, "asymmetry": 0.5},
     "quadratic_stiffness": {"coefficient": 200.0, "hardening": 5.0},
+    "sensor_delay": {"delay": 0.0006},
+    "sensor_lowpass": {"time_constant": 0.001, "shape": 0.5},
     "short_range_stiffness": {"stiffness": 100.0, "range": 0.005, "sharpness": 4.0},
     "stretch_reflex": {
         "position_gain": 20.0,
@@ -97,7 +101,7 @@ class Row:
 def questions() -> Iterator[tuple[str, str, int, Imposed]]:
     """List effect, speed, rate and what is imposed, of every row."""
     for key, kind in EFFECTS.items():
-        if not (KBI() + kind()).linear:
+        if not (KBI() + kind()).linear or kind.reads_between:
             for speed in ("nominal", "fast"):
                 for rate in RATES:
                     yield key, speed, rate, "torque"
@@ -131,7 +135,12 @@ def measure(key: str, speed: str, rate: int, imposed: Imposed) -> Row:
 
     apriori = Scheme.for_model(model, theta, drive.interval, imposed)
     scheme, found, halved = _settled(apriori, by)
-    reference = by(Scheme(_REFERENCE * max(scheme.substeps, 4), 4))
+    if model.linear:
+        # Its instruments see the response so many times as often.
+        times = _REFERENCE * readings_of(model, drive.interval)
+        reference = simulate(model, theta, _finer(drive, times))[::times]
+    else:
+        reference = by(Scheme(_REFERENCE * max(scheme.substeps, 4), 4))
     without = simulate(KBI(), np.array(list(JOINT.values())), drive)
     return Row(
         key,
@@ -171,6 +180,18 @@ def _drive(rate: int, imposed: Imposed) -> Drive:
         return imposed_motion(time, 0.05 * np.tanh(10 * moved) ** 3 * waves)
     pulse = np.where((time > _LEAD) & (time <= _LEAD + _PULSE), 6.0, 0.0)
     return SampledTorque(pulse + waves).drive(time)
+
+
+def _finer(drive: Drive, times: int) -> Drive:
+    """The same signal at so many times as many samples."""
+    step = scipy.linalg.expm(drive.generator * drive.interval / times)
+    rows = [drive.states]
+    for _ in range(times - 1):
+        rows.append(rows[-1] @ step.T)
+    states = np.stack(rows, axis=1).reshape(-1, drive.states.shape[1])
+    impulses = np.zeros(len(states))
+    impulses[::times] = drive.impulses
+    return Drive(drive.interval / times, drive.generator, drive.readout, states, impulses)
 
 
 def record(rows: Sequence[Row]) -> dict[str, Any]:

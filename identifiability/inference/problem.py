@@ -22,6 +22,7 @@ from jax.typing import ArrayLike
 from identifiability.errors import InputError
 from identifiability.inference.likelihood import coloured
 from identifiability.inference.likelihood.coloured import Colour, ColourArrays
+from identifiability.joint.instruments import readings_of
 from identifiability.joint.integrator import integrate
 from identifiability.joint.model import Model
 from identifiability.joint.programs import THREADS, compiled, make_room
@@ -273,13 +274,14 @@ class Program(NamedTuple):
     """What a compiled function is specialised to; everything else is data.
 
     The order of the scheme is 0 where the response is exact. The history of a delayed model has
-    room for so many steps a sample.
+    room for so many steps a sample. Instruments read the response so often in a sampling interval.
     """
 
     model: Model
     free: tuple[int, ...]
     order: int = 0
     history: int = 0
+    readings: int = 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -374,7 +376,8 @@ class Problem:
     @cached_property
     def batches(self) -> tuple[int, ...]:
         """Numbers of points that are computed at once."""
-        fitting = [b for b in _BATCHES if b * self.data.measured.size <= _MOST_ELEMENTS]
+        size = self.data.measured.size * self.program.readings
+        fitting = [b for b in _BATCHES if b * size <= _MOST_ELEMENTS]
         return tuple(fitting) or (_SMALL_BATCH,)
 
     @cached_property
@@ -388,12 +391,12 @@ class Problem:
     @cached_property
     def program(self) -> Program:
         """What compiled functions are specialised to."""
-        scheme = self.integration
+        scheme, readings = self.integration, readings_of(self.model, self.interval)
         if scheme.exact:
-            return Program(self.model, self.free)
+            return Program(self.model, self.free, readings=readings)
         # Room for half the step too, by which the scheme is checked.
         history = 2 * scheme.substeps if self.model.delayed else 0
-        return Program(self.model, self.free, scheme.order, history)
+        return Program(self.model, self.free, scheme.order, history, readings)
 
     @cached_property
     def data(self) -> Data:
@@ -564,9 +567,15 @@ def _stacked_responses(program: Program, x: ArrayLike, template: ArrayLike, data
     def respond(interval: Array, states: Array, impulses: Array) -> Array:
         arrays = (interval, data.generator, data.readout, states, impulses)
         if not program.order:
-            return exact_response(program.model, theta, arrays)
+            return exact_response(program.model, theta, arrays, program.readings)
         return integrate(
-            program.model, theta, arrays, data.substeps, program.order, program.history
+            program.model,
+            theta,
+            arrays,
+            data.substeps,
+            program.order,
+            program.history,
+            program.readings,
         )
 
     along = (None if jnp.ndim(data.interval) == 0 else 0, 0, 0)

@@ -23,6 +23,7 @@ from jax.typing import ArrayLike
 
 from identifiability.joint.effects.base import Motion
 from identifiability.joint.exponentials import matrix_exponential, phi_functions
+from identifiability.joint.instruments import DriveArrays, recorded
 from identifiability.joint.model import Model
 
 Rates = Callable[[Array, int], Array]
@@ -43,10 +44,11 @@ class _Carry(NamedTuple):
 def integrate(
     model: Model,
     theta: ArrayLike,
-    arrays: tuple[ArrayLike, ...],
+    arrays: DriveArrays,
     substeps: int | Array,
     order: int = 4,
     room: int | None = None,
+    readings: int = 1,
 ) -> Array:
     """Response of any model by exponential Runge-Kutta steps.
 
@@ -65,22 +67,29 @@ def integrate(
     room : int, optional
         Most steps per interval whose motion can be kept, for a model with delays; `substeps` by
         default, which must then be known when the program is compiled.
+    readings : int
+        How often in a sampling interval instruments see the response, from `readings_of`; as many
+        steps are taken at least.
 
     Returns
     -------
     array, shape (n,)
         Angle [rad] if the drive is a torque, torque [Nm] if it is an angle.
     """
-    interval, generator, readout, states, impulses = (jnp.asarray(a) for a in arrays)
-    rows = 0
-    if model.delayed and readout.shape[0] == 1:
-        rows = (states.shape[0] - 1) * (int(substeps) if room is None else room)
-    drive = _Drive(interval / substeps, interval, jnp.asarray(substeps), generator, readout, states)
-    if readout.shape[0] == 1:
-        response = _torque_driven(model, theta, drive, impulses, rows, order)
-    else:
-        response = _angle_driven(model, theta, drive, order)
-    return model.record(theta, response, interval)
+
+    def respond(arrays: DriveArrays) -> Array:
+        interval, generator, readout, states, impulses = (jnp.asarray(a) for a in arrays)
+        steps = -(-jnp.asarray(substeps) // readings)
+        drive = _Drive(interval / steps, interval, steps, generator, readout, states)
+        if readout.shape[0] > 1:
+            return _angle_driven(model, theta, drive, order)
+        rows = 0
+        if model.delayed:
+            most = int(substeps) if room is None else room
+            rows = (states.shape[0] - 1) * -(-most // readings)
+        return _torque_driven(model, theta, drive, impulses, rows, order)
+
+    return recorded(model, theta, arrays, readings, respond)
 
 
 class _Drive:

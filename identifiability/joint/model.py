@@ -282,7 +282,7 @@ class Model:
         response : array, shape (n,)
             Angle [rad] to an imposed torque, torque [Nm] to an imposed angle.
         interval : float
-            Sampling interval [s].
+            Time [s] from one value to the next.
 
         Returns
         -------

@@ -17,6 +17,7 @@ from jax.typing import ArrayLike
 from identifiability.errors import InputError
 from identifiability.joint.effects.base import Motion
 from identifiability.joint.exponentials import matrix_exponential
+from identifiability.joint.instruments import DriveArrays, readings_of, recorded
 from identifiability.joint.integrator import integrate
 from identifiability.joint.model import Model
 from identifiability.joint.programs import compiled, make_room
@@ -24,8 +25,6 @@ from identifiability.joint.scheme import EXACT, MOST_SUBSTEPS, Scheme
 from identifiability.measurement.perturbations import Drive
 
 _CONVERGED = 1e-7  # E between two responses, of which the finer is taken as converged
-
-DriveArrays = tuple[ArrayLike, ArrayLike, ArrayLike, ArrayLike, ArrayLike]
 
 
 def drive_arrays(drive: Drive) -> DriveArrays:
@@ -79,10 +78,12 @@ def _by(
 ) -> np.ndarray:
     """Responses by a scheme, with room for the past of so many steps an interval at least."""
     scheme.check(model)
-    program, substeps = _Program(model), 0
+    readings = readings_of(model, drive.interval)
+    program, substeps = _Program(model, readings=readings), 0
     if not scheme.exact:
         substeps = scheme.substeps
-        program = _Program(model, scheme.order, max(room, substeps) if model.delayed else 0)
+        room = max(room, substeps) if model.delayed else 0
+        program = _Program(model, scheme.order, room, readings)
     return np.asarray(_batch(program, thetas, drive_arrays(drive), np.array(substeps)))
 
 
@@ -111,7 +112,7 @@ def _converged(model: Model, thetas: np.ndarray, drive: Drive) -> np.ndarray:
     )
 
 
-def exact_response(model: Model, theta: ArrayLike, arrays: DriveArrays) -> Array:
+def exact_response(model: Model, theta: ArrayLike, arrays: DriveArrays, readings: int = 1) -> Array:
     """Exact response of a linear model, differentiable and traceable.
 
     Parameters
@@ -121,13 +122,17 @@ def exact_response(model: Model, theta: ArrayLike, arrays: DriveArrays) -> Array
     theta : array, shape (n_parameters,)
     arrays : tuple
         From `drive_arrays`.
+    readings : int
+        How often in a sampling interval instruments see the response, from `readings_of`.
 
     Returns
     -------
     array, shape (n,)
         As for `simulate`.
     """
-    return model.record(theta, _true_response(model, theta, arrays), jnp.asarray(arrays[0]))
+    return recorded(
+        model, theta, arrays, readings, lambda these: _true_response(model, theta, these)
+    )
 
 
 def _true_response(model: Model, theta: ArrayLike, arrays: DriveArrays) -> Array:
@@ -202,15 +207,16 @@ class _Program(NamedTuple):
     model: Model
     order: int = 0
     room: int = 0
+    readings: int = 1
 
 
 @compiled
 def _batch(program: _Program, thetas: Array, arrays: DriveArrays, substeps: Array) -> Array:
-    model, order, room = program
+    model, order, room, readings = program
 
     def respond(theta: Array) -> Array:
         if not order:
-            return exact_response(model, theta, arrays)
-        return integrate(model, theta, arrays, substeps, order, room)
+            return exact_response(model, theta, arrays, readings)
+        return integrate(model, theta, arrays, substeps, order, room, readings)
 
     return jax.vmap(respond)(thetas)

@@ -18,11 +18,13 @@ def solver_page(record: dict[str, Any]) -> str:
     lines = [
         "# Integration: error of the steps against effect and noise",
         "",
-        "Made by `identifiability benchmark solver --out results`. Every non-linear effect of the",
-        "registry, at nominal and at fast parameters, is integrated in the steps that a fit takes,",
-        "and in at least sixteen times as many. All numbers are errors E (Eq. 3). *Half the step*",
-        "is the error as the package knows it, by half the step; *error* is by the fine ones;",
-        "*effect* is that of the joint without the effect. Noise typically leaves an E of",
+        "Made by `identifiability benchmark solver --out results`. Every effect of the",
+        "registry that is not linear, and every instrument with a memory, at nominal and at fast",
+        "parameters, is computed in the steps that a fit takes (an instrument sees the response",
+        "once a millisecond at least), and in at least sixteen times as many. All numbers are",
+        "errors E (Eq. 3). *Half the step* is the error as the package knows it, by half the step;",
+        "*error* is by the fine ones; *effect* is that of the joint without the effect. Noise",
+        "typically leaves an E of",
         f"{' or '.join(f'{n:g}' for n in noises)}; a tenth of the smaller, {record['allowed']:g},",
         f"is allowed. {said} The largest error is {worst['error']:.1e}"
         f" ({worst['effect'].replace('_', ' ')}, {worst['speed']}, {worst['rate']} Hz,"

@@ -51,6 +51,7 @@ class Effect(ABC):
     linear : whether torque and rates are linear in motion and states
     affine_in_velocity : whether the torque is affine in the velocity (muscle effects)
     n_states : number of the effect's own states
+    reads_between : whether ``record`` needs the response between the samples too
     confused_with : keys of effects that look alike in short records
     equivalent : keys of effects of the same form: no torque and angle tells them apart
     refines : keys of effects of which it is a richer form
@@ -72,6 +73,7 @@ class Effect(ABC):
     linear: ClassVar[bool]
     affine_in_velocity: ClassVar[bool] = True
     n_states: ClassVar[int] = 0
+    reads_between: ClassVar[bool] = False
     confused_with: ClassVar[tuple[str, ...]] = ()
     equivalent: ClassVar[tuple[str, ...]] = ()
     refines: ClassVar[tuple[str, ...]] = ()
@@ -134,7 +136,8 @@ class Effect(ABC):
         response : array, shape (n,)
             True response: angle [rad] to an imposed torque, torque [Nm] to an imposed angle.
         interval : float
-            Sampling interval [s].
+            Time [s] from one value to the next: the sampling interval, or a part of it where the
+            effect reads between the samples.
 
         Returns
         -------

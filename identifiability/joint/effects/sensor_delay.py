@@ -24,6 +24,7 @@ class SensorDelay(Effect):
     title = "a delay between the recorded channels"
     place = "sensor"
     linear = True
+    reads_between = True
     confused_with = ("sensor_lowpass", "series_tendon", "stretch_reflex")
     parameters = (
         Parameter(

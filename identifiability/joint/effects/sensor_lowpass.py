@@ -28,6 +28,7 @@ class SensorLowpass(Effect):
     title = "a low-pass filter in the recording"
     place = "sensor"
     linear = True
+    reads_between = True
     confused_with = ("sensor_delay", "series_tendon", "second_mass")
     parameters = (
         Parameter(
