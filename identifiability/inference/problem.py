@@ -395,13 +395,14 @@ class Problem:
         if scheme.exact:
             return Program(self.model, self.free, readings=readings)
         # Room for half the step too, by which the scheme is checked.
-        history = 2 * scheme.substeps if self.model.delayed else 0
+        history = scheme.halved.between(readings) if self.model.delayed else 0
         return Program(self.model, self.free, scheme.order, history, readings)
 
     @cached_property
     def data(self) -> Data:
         """The observations, as compiled functions take them."""
-        return _stack(self.observations, self.integration.substeps, self.room, self.colour)
+        steps = self.integration.between(self.program.readings)
+        return _stack(self.observations, steps, self.room, self.colour)
 
     def with_prior(self, prior: Prior) -> Problem:
         """Return the same problem with another prior."""
@@ -410,7 +411,8 @@ class Problem:
     def with_scheme(self, scheme: Scheme) -> Problem:
         """Return the same problem with its response computed in another way."""
         other = replace(self, scheme=scheme)
-        stacked = self.data._replace(substeps=jnp.asarray(scheme.substeps))
+        steps = scheme.between(self.program.readings)
+        stacked = self.data._replace(substeps=jnp.asarray(steps))
         other.__dict__["data"] = stacked  # all but the steps, as it would be put together anew
         return other
 

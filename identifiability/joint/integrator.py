@@ -59,17 +59,17 @@ def integrate(
     arrays : tuple
         From ``response.drive_arrays``.
     substeps : int
-        Steps per sampling interval. It is data: one compiled program serves any number of steps.
+        Steps per sampling interval, or from one reading of the instruments to the next. It is data:
+        one compiled program serves any number of steps.
     order : {4, 2}
         Power of the step with which the error falls, except where a delayed jump of the torque
         falls inside a step. The second-order scheme takes half the time; with delays it expects a
         torque without impulses.
     room : int, optional
-        Most steps per interval whose motion can be kept, for a model with delays; `substeps` by
-        default, which must then be known when the program is compiled.
+        Most substeps whose motion can be kept, for a model with delays; `substeps` by default,
+        which must then be known when the program is compiled.
     readings : int
-        How often in a sampling interval instruments see the response, from `readings_of`; as many
-        steps are taken at least.
+        How often in a sampling interval instruments see the response, from `readings_of`.
 
     Returns
     -------
@@ -79,14 +79,13 @@ def integrate(
 
     def respond(arrays: DriveArrays) -> Array:
         interval, generator, readout, states, impulses = (jnp.asarray(a) for a in arrays)
-        steps = -(-jnp.asarray(substeps) // readings)
-        drive = _Drive(interval / steps, interval, steps, generator, readout, states)
+        steps = jnp.asarray(substeps)
+        drive = _Drive(interval / substeps, interval, steps, generator, readout, states)
         if readout.shape[0] > 1:
             return _angle_driven(model, theta, drive, order)
         rows = 0
         if model.delayed:
-            most = int(substeps) if room is None else room
-            rows = (states.shape[0] - 1) * -(-most // readings)
+            rows = (states.shape[0] - 1) * (int(substeps) if room is None else room)
         return _torque_driven(model, theta, drive, impulses, rows, order)
 
     return recorded(model, theta, arrays, readings, respond)

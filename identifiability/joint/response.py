@@ -81,8 +81,8 @@ def _by(
     readings = readings_of(model, drive.interval)
     program, substeps = _Program(model, readings=readings), 0
     if not scheme.exact:
-        substeps = scheme.substeps
-        room = max(room, substeps) if model.delayed else 0
+        substeps = scheme.between(readings)
+        room = max(-(-room // readings), substeps) if model.delayed else 0
         program = _Program(model, scheme.order, room, readings)
     return np.asarray(_batch(program, thetas, drive_arrays(drive), np.array(substeps)))
 

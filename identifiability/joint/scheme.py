@@ -100,6 +100,10 @@ class Scheme:
             return Scheme(max(substeps // 4, 1), 4)
         return Scheme(min(substeps, MOST_SUBSTEPS), self.order)
 
+    def between(self, readings: int) -> int:
+        """Steps from one reading of an instrument to the next, of so many in an interval."""
+        return -(-self.substeps // readings)
+
     @property
     def finest(self) -> bool:
         """Whether it is as fine as schemes get."""
