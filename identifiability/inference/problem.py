@@ -32,7 +32,9 @@ from identifiability.measurement.noise import Noise
 from identifiability.measurement.perturbations import Drive
 
 # Batches are padded to one of a few sizes, so that a few compilations serve any number of points.
-# A batch of long records is kept small: what does not fit the processor's cache is slower.
+# A batch of long records, or of integrated models, is kept small: what does not fit the processor's
+# cache is slower (a reflex takes twice as long a point in batches of 512 as in batches of 32), and
+# walkers are too few to fill a large one.
 _SMALL_BATCH, _BATCHES = 32, (512, 4096)
 _DIFFERENCE = 1e-3  # step of differences, in slice widths
 _MOST_ELEMENTS = 2**21
@@ -376,6 +378,8 @@ class Problem:
     @cached_property
     def batches(self) -> tuple[int, ...]:
         """Numbers of points that are computed at once."""
+        if not self.integration.exact:
+            return (_SMALL_BATCH,)
         size = self.data.measured.size * self.program.readings
         fitting = [b for b in _BATCHES if b * size <= _MOST_ELEMENTS]
         return tuple(fitting) or (_SMALL_BATCH,)
