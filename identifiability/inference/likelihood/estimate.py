@@ -460,11 +460,11 @@ def _reflections(pieces: Sequence[np.ndarray], order: int) -> np.ndarray:
 
 def _polynomial(partial: np.ndarray) -> np.ndarray:
     """Polynomial, first coefficient 1, of which these are the partial autocorrelations."""
-    found = np.ones(1)
-    for k in partial:
-        longer = np.append(found, 0.0)
-        found = longer + k * longer[::-1]
-    return found
+    found = [1.0]
+    for k in partial.tolist():
+        longer = [*found, 0.0]
+        found = [a + k * b for a, b in zip(longer, reversed(longer), strict=True)]
+    return np.array(found)
 
 
 def _partials(coefficients: np.ndarray) -> np.ndarray:

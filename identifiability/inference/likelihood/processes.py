@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
+from functools import cache, lru_cache
 
 import numpy as np
 import scipy.linalg
@@ -47,33 +47,11 @@ class Process:
         From the Yule-Walker equations (Brockwell & Davis 1991, Time Series: Theory and Methods,
         section 3.3).
         """
-        p, q = self.ar.size - 1, self.ma.size - 1
-        impulse = self.impulse_response(q + 1)
-        shared = np.zeros(max(p, lags) + 1)
-        for lag in range(min(q, shared.size - 1) + 1):
-            shared[lag] = self.ma[lag:] @ impulse[: q + 1 - lag]
-        before, after = _yule_walker(p)
-        padded = np.append(self.ar, 0.0)
-        _, _, first, failed = scipy.linalg.lapack.dgesv(
-            padded[before] + padded[after], shared[: p + 1]
-        )
-        if failed:
-            raise np.linalg.LinAlgError("a noise whose variance is not bounded")
-        found = np.zeros(shared.size)
-        found[: p + 1] = first
-        for lag in range(p + 1, shared.size):
-            found[lag] = shared[lag] - self.ar[1:] @ found[lag - 1 : lag - p - 1 : -1][:p]
-        return self.sd**2 * found[: lags + 1]
+        return self.sd**2 * _autocovariance(tuple(self.ar.tolist()), tuple(self.ma.tolist()), lags)
 
     def impulse_response(self, n: int) -> np.ndarray:
         """Response to a unit of e, without `sd`, shape (n,)."""
-        unit = np.zeros(n)
-        if self.ar.size == 1:
-            unit[: self.ma.size] = self.ma[:n]
-            return unit
-        unit[0] = 1.0
-        response: np.ndarray = lfilter(self.ma, self.ar, unit)
-        return response
+        return np.array(_impulse(self.ar.tolist(), self.ma.tolist(), n))
 
     def draw(self, n: int, generator: np.random.Generator) -> np.ndarray:
         """Draw noise from the process, shape (n,), after a run that forgets its beginning."""
@@ -132,6 +110,40 @@ class ProcessSum:
                 axis=1,
             )
         return Whitening(ar, factor)
+
+
+def _impulse(ar: Sequence[float], ma: Sequence[float], n: int) -> list[float]:
+    """Impulse response by its recursion: for a few terms it is quicker than a filter."""
+    found: list[float] = []
+    for i in range(n):
+        value = ma[i] if i < len(ma) else 0.0
+        for lag in range(1, min(i, len(ar) - 1) + 1):
+            value -= ar[lag] * found[i - lag]
+        found.append(value)
+    return found
+
+
+# While a noise is sought, that of the other channel keeps its colour.
+@lru_cache(maxsize=64)
+def _autocovariance(ar: tuple[float, ...], ma: tuple[float, ...], lags: int) -> np.ndarray:
+    """Autocovariance of a process driven by noise of variance 1: see `Process.autocovariance`."""
+    p, q = len(ar) - 1, len(ma) - 1
+    impulse, moving = np.array(_impulse(ar, ma, q + 1)), np.array(ma)
+    shared = np.zeros(max(p, lags) + 1)
+    for lag in range(min(q, shared.size - 1) + 1):
+        shared[lag] = moving[lag:] @ impulse[: q + 1 - lag]
+    before, after = _yule_walker(p)
+    padded = np.array([*ar, 0.0])
+    _, _, first, failed = scipy.linalg.lapack.dgesv(padded[before] + padded[after], shared[: p + 1])
+    if failed:
+        raise np.linalg.LinAlgError("a noise whose variance is not bounded")
+    found = np.zeros(shared.size)
+    found[: p + 1] = first
+    back = padded[p:0:-1]
+    for lag in range(p + 1, shared.size):
+        found[lag] = shared[lag] - back @ found[lag - p : lag]
+    found.flags.writeable = False
+    return found[: lags + 1]
 
 
 @cache

@@ -121,8 +121,8 @@ class _Search:
         jobs = [self._enlarged(current, more[key](), alone.get(key, {})) for key in seen]
         self.add(f"what may be added to {' + '.join(['K, B, I', *keys])}", jobs)
         ranked = self._ranked(len(keys) + 1)[:_TAKEN_UP]
-        for near in [keys for keys in ranked if not self.weighing.is_far(keys, ranked[0])]:
-            self.weighing.take_up(near)
+        near = [keys for keys in ranked if not self.weighing.is_far(keys, ranked[0])]
+        self.weighing.take_up(near)
         self._refine(len(keys) + 1)
 
     def _enlarged(self, current: Evaluated, effect: Effect, alone: Mapping[str, float]) -> Job:

@@ -9,15 +9,16 @@ equations are not exact; with more it is "none of these".
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from math import comb, log
+from typing import TypeVar
 
 import numpy as np
 
 from identifiability.investigation.fits.candidate import unfitted
-from identifiability.investigation.posterior.descriptions import descriptions_of
+from identifiability.investigation.posterior.descriptions import Description, descriptions_of
 from identifiability.investigation.posterior.discrepancy import (
     Discrepancy,
     Discrepant,
@@ -37,6 +38,7 @@ from identifiability.joint.programs import THREADS
 from identifiability.progress import Progress, silent
 
 Keys = tuple[str, ...]
+_Job = TypeVar("_Job")
 
 TRIFLE = 3e-3
 """Share of the response that is nothing unknown: instruments are linear to so much."""
@@ -140,23 +142,19 @@ class Weighing:
         # What is not fitted any further depends on what was known before, not on who is first.
         best = max((f.log_evidence for f in self.found.values()), default=-np.inf)
 
-        def evaluate(job: Job) -> Evaluated | str:
-            try:
-                return self._evaluations.evaluate(
-                    job.model,
-                    job.starts,
-                    refined=job.refined,
-                    noise=job.noise,
-                    least=best - _LOST,
-                    resolved=False,
-                )
-            except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
-                return str(error)
+        def evaluated(job: Job) -> Evaluated:
+            return self._evaluations.evaluate(
+                job.model,
+                job.starts,
+                refined=job.refined,
+                noise=job.noise,
+                least=best - _LOST,
+                resolved=False,
+            )
 
-        with ThreadPoolExecutor(THREADS) as pool:
-            for job, found in zip(jobs, pool.map(evaluate, jobs), strict=True):
-                self._keep(job.model, found)
-                yield
+        for job, found in zip(jobs, _side_by_side(evaluated, jobs), strict=True):
+            self._keep(job.model, found)
+            yield
 
     def _keep(self, model: Model, found: Evaluated | str) -> None:
         keys = tuple(sorted(k for k in model.effect_keys if k not in self.base))
@@ -171,27 +169,29 @@ class Weighing:
         if known is None or found.log_evidence > known.log_evidence:
             self.found[keys] = found
 
-    def take_up(self, keys: Keys) -> None:
-        """Evaluate a set further, from where its fit ended, in steps that are short enough."""
-        known = self.found[keys]
-        if self.taken_up.get(keys) is known:
-            return
-        self.progress(f"weighing {' + '.join(['K, B, I', *keys])} further", 0, 1)
-        try:
-            found = self._evaluations.evaluate(
+    def take_up(self, sets: Sequence[Keys]) -> None:
+        """Evaluate sets further, from where their fits ended, in steps that are short enough."""
+        sets = [keys for keys in sets if self.taken_up.get(keys) is not self.found[keys]]
+
+        def evaluated(keys: Keys) -> Evaluated:
+            known = self.found[keys]
+            return self._evaluations.evaluate(
                 known.model,
                 [known.values],
                 refined=known.refined,
                 scheme=known.scheme,
                 noise=known.weights,
             )
-        except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
-            self.failures["+".join(keys)] = str(error)
-        else:
+
+        for i, (keys, found) in enumerate(zip(sets, _side_by_side(evaluated, sets), strict=True)):
+            known = self.found[keys]
+            self.progress("weighing the most probable sets further", i + 1, len(sets))
+            if isinstance(found, str):
+                self.failures["+".join(keys)] = found
             # In steps that were too long a model may have seemed better than it is.
-            if found.scheme != known.scheme or found.log_evidence > known.log_evidence:
+            elif found.scheme != known.scheme or found.log_evidence > known.log_evidence:
                 self.found[keys] = found
-        self.taken_up[keys] = self.found[keys]
+            self.taken_up[keys] = self.found[keys]
 
     def settle(self) -> None:
         """Take up the sets that come near, until none is left that was not."""
@@ -202,27 +202,31 @@ class Weighing:
             left = [k for k in near if self.taken_up.get(k) is not self.found[k]]
             if not left:
                 return
-            for keys in left:
-                self.take_up(keys)
+            self.take_up(left)
 
     def describe(self) -> None:
         """Evaluate descriptions in the place of effects of the best set of every size."""
         ranked = sorted(self.found, key=lambda keys: -self.score(keys))
+        jobs: dict[tuple[Keys, str], tuple[Description, Keys]] = {}
         for keys in {len(keys): keys for keys in reversed(ranked)}.values():
             for one in descriptions_of(self.found[keys], self.base, self.library):
-                known = self.described.setdefault(one.rest, {})
-                if one.key in known or one.rest not in self.found:
-                    continue
-                self.progress(f"weighing {' + '.join(['K, B, I', *one.rest, one.key])}", 0, 1)
-                try:
-                    known[one.key] = self._evaluations.evaluate(
-                        one.model,
-                        one.starts,
-                        refined=one.refined,
-                        noise=self.found[keys].weights,
-                    )
-                except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
-                    self.failures["+".join((*one.rest, one.key))] = str(error)
+                if one.rest in self.found and one.key not in self.described.get(one.rest, {}):
+                    jobs.setdefault((one.rest, one.key), (one, keys))
+
+        def evaluated(job: tuple[Description, Keys]) -> Evaluated:
+            one, keys = job
+            return self._evaluations.evaluate(
+                one.model, one.starts, refined=one.refined, noise=self.found[keys].weights
+            )
+
+        done = _side_by_side(evaluated, list(jobs.values()))
+        for i, ((rest, key), found) in enumerate(zip(jobs, done, strict=True)):
+            self.progress("weighing descriptions of something unknown", i + 1, len(jobs))
+            known = self.described.setdefault(rest, {})
+            if isinstance(found, str):
+                self.failures["+".join((*rest, key))] = found
+            else:
+                known[key] = found
 
     def _near(self) -> list[Keys]:
         """Sets that come near the best, and the best of every size."""
@@ -400,6 +404,21 @@ class Weighing:
         except (ValueError, np.linalg.LinAlgError) as error:
             self.failures[f"{'+'.join(keys)} and a discrepancy"] = str(error)
             return None
+
+
+def _side_by_side(
+    evaluated: Callable[[_Job], Evaluated], jobs: Sequence[_Job]
+) -> Iterator[Evaluated | str]:
+    """Evaluations of several models at a time, in order, or why there is none."""
+
+    def attempt(job: _Job) -> Evaluated | str:
+        try:
+            return evaluated(job)
+        except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
+            return str(error)
+
+    with ThreadPoolExecutor(THREADS) as pool:
+        yield from pool.map(attempt, jobs)
 
 
 def _moved(one: Evaluated, other: Evaluated) -> float:
