@@ -13,12 +13,11 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-import scipy.linalg
 
 from identifiability.joint.effects import EFFECTS
-from identifiability.joint.instruments import readings_of
+from identifiability.joint.instruments import between, readings_of
 from identifiability.joint.model import KBI, Imposed
-from identifiability.joint.response import simulate
+from identifiability.joint.response import drive_arrays, simulate
 from identifiability.joint.scheme import Scheme
 from identifiability.measurement.perturbations import Drive, SampledTorque, imposed_motion
 from identifiability.provenance import stamp
@@ -138,7 +137,9 @@ def measure(key: str, speed: str, rate: int, imposed: Imposed) -> Row:
     if model.linear:
         # Its instruments see the response so many times as often.
         times = _REFERENCE * readings_of(model, drive.interval)
-        reference = simulate(model, theta, _finer(drive, times))[::times]
+        interval, *arrays = map(np.asarray, between(drive_arrays(drive), times))
+        finer = Drive(float(interval), *arrays)
+        reference = simulate(model, theta, finer)[::times]
     else:
         reference = by(Scheme(_REFERENCE * max(scheme.substeps, 4), 4))
     without = simulate(KBI(), np.array(list(JOINT.values())), drive)
@@ -180,18 +181,6 @@ def _drive(rate: int, imposed: Imposed) -> Drive:
         return imposed_motion(time, 0.05 * np.tanh(10 * moved) ** 3 * waves)
     pulse = np.where((time > _LEAD) & (time <= _LEAD + _PULSE), 6.0, 0.0)
     return SampledTorque(pulse + waves).drive(time)
-
-
-def _finer(drive: Drive, times: int) -> Drive:
-    """The same signal at so many times as many samples."""
-    step = scipy.linalg.expm(drive.generator * drive.interval / times)
-    rows = [drive.states]
-    for _ in range(times - 1):
-        rows.append(rows[-1] @ step.T)
-    states = np.stack(rows, axis=1).reshape(-1, drive.states.shape[1])
-    impulses = np.zeros(len(states))
-    impulses[::times] = drive.impulses
-    return Drive(drive.interval / times, drive.generator, drive.readout, states, impulses)
 
 
 def record(rows: Sequence[Row]) -> dict[str, Any]:

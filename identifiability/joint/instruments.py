@@ -62,12 +62,12 @@ def recorded(
     """
     if readings == 1:
         return model.record(theta, respond(arrays), jnp.asarray(arrays[0]))
-    between = _between(arrays, readings)
-    response = model.record(theta, respond(between), jnp.asarray(between[0]))
+    finer = between(arrays, readings)
+    response = model.record(theta, respond(finer), jnp.asarray(finer[0]))
     return response.reshape(-1, readings)[:, 0]
 
 
-def _between(arrays: DriveArrays, readings: int) -> DriveArrays:
+def between(arrays: DriveArrays, readings: int) -> DriveArrays:
     """The same drive at so many times as many samples; the last interval too is filled."""
     interval, generator, readout, states, impulses = (jnp.asarray(a) for a in arrays)
     step = interval / readings

@@ -74,15 +74,16 @@ def simulate(
 
 
 def _by(
-    scheme: Scheme, model: Model, thetas: np.ndarray, drive: Drive, room: int = 0
+    scheme: Scheme, model: Model, thetas: np.ndarray, drive: Drive, finer: Scheme | None = None
 ) -> np.ndarray:
-    """Responses by a scheme, with room for the past of so many steps an interval at least."""
+    """Responses by a scheme, with room for the past of a finer one."""
     scheme.check(model)
     readings = readings_of(model, drive.interval)
     program, substeps = _Program(model, readings=readings), 0
     if not scheme.exact:
         substeps = scheme.between(readings)
-        room = max(-(-room // readings), substeps) if model.delayed else 0
+        steps = max(substeps, (finer or scheme).between(readings))
+        room = steps if model.delayed else 0
         program = _Program(model, scheme.order, room, readings)
     return np.asarray(_batch(program, thetas, drive_arrays(drive), np.array(substeps)))
 
@@ -95,11 +96,11 @@ def _converged(model: Model, thetas: np.ndarray, drive: Drive) -> np.ndarray:
     # The fourth order, so that the finer of two responses is far better than their difference.
     start = max(s.substeps // (4 if s.order == 2 else 1) for s in wanted)
     scheme = Scheme(min(max(start, 1), MOST_SUBSTEPS // 2))
-    room = scheme.halved.substeps  # so that one program computes both
-    coarse = _by(scheme, model, thetas, drive, room)
+    finer = scheme.halved  # so that one program computes both
+    coarse = _by(scheme, model, thetas, drive, finer)
     while not scheme.finest:
         scheme = scheme.halved
-        fine = _by(scheme, model, thetas, drive, room)
+        fine = _by(scheme, model, thetas, drive, finer)
         with np.errstate(all="ignore"):
             moved = np.sum((fine - coarse) ** 2, axis=1) > _CONVERGED * np.sum(fine**2, axis=1)
         # What is not finite says so itself.

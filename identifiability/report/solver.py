@@ -24,9 +24,8 @@ def solver_page(record: dict[str, Any]) -> str:
         "once a millisecond at least), and in at least sixteen times as many. All numbers are",
         "errors E (Eq. 3). *Half the step* is the error as the package knows it, by half the step;",
         "*error* is by the fine ones; *effect* is that of the joint without the effect. Noise",
-        "typically leaves an E of",
-        f"{' or '.join(f'{n:g}' for n in noises)}; a tenth of the smaller, {record['allowed']:g},",
-        f"is allowed. {said} The largest error is {worst['error']:.1e}"
+        f"typically leaves an E of {' or '.join(f'{n:g}' for n in noises)}; a tenth of the smaller",
+        f"({record['allowed']:g}) is allowed. {said} The largest error is {worst['error']:.1e}"
         f" ({worst['effect'].replace('_', ' ')}, {worst['speed']}, {worst['rate']} Hz,"
         f" imposed {worst['imposed']}).",
         "",

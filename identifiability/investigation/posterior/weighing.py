@@ -38,7 +38,7 @@ from identifiability.joint.programs import THREADS
 from identifiability.progress import Progress, silent
 
 Keys = tuple[str, ...]
-_Job = TypeVar("_Job")
+_Task = TypeVar("_Task")
 
 TRIFLE = 3e-3
 """Share of the response that is nothing unknown: instruments are linear to so much."""
@@ -407,11 +407,11 @@ class Weighing:
 
 
 def _side_by_side(
-    evaluated: Callable[[_Job], Evaluated], jobs: Sequence[_Job]
+    evaluated: Callable[[_Task], Evaluated], jobs: Sequence[_Task]
 ) -> Iterator[Evaluated | str]:
     """Evaluations of several models at a time, in order, or why there is none."""
 
-    def attempt(job: _Job) -> Evaluated | str:
+    def attempt(job: _Task) -> Evaluated | str:
         try:
             return evaluated(job)
         except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
