@@ -14,6 +14,7 @@ from identifiability.benchmark.effects import (
     CoulombFriction,
     MaxwellBranch,
     SensorDelay,
+    SensorLowpass,
     SeriesTendon,
     StretchReflex,
 )
@@ -511,6 +512,27 @@ def test_of_a_long_record_parts_all_over_it_are_compared(driven):
     assert [o.continues for o in band.observations] == [False] + [True] * (len(begins) - 1)
     constants = [o.constant for o in band.observations]
     assert np.sum(np.concatenate(constants) ** 2) in (0.0, pytest.approx(1.0))
+
+
+def test_a_torque_that_is_recorded_late_does_not_hide_the_inertia():
+    # K, B and I alone are so poor a picture of it that coloured noise explains all but K.
+    trials = servo_trials(Joint(ANATOMY, (SensorLowpass(8.0, "butterworth"),)), torque_sd=0.02)
+    evaluator = evaluator_for(trials)
+    filtered = {"sensor_lowpass.time_constant": 0.02, "sensor_lowpass.shape": 0.4}
+    model = KBI() + EFFECTS["sensor_lowpass"]()
+    found = evaluator.evaluate(model, [START | filtered], refined=["sensor_lowpass"])
+    assert found.values["K"] == pytest.approx(26.0, rel=0.02)
+    assert found.values["I"] == pytest.approx(0.08, rel=0.05)
+
+
+def test_an_angle_too_coarse_for_its_acceleration_is_said_to_be():
+    step = 0.02
+    trials = [
+        replace(trial, angle=step * np.round(trial.angle / step))
+        for trial in servo_trials(Joint(replace(ANATOMY, inertia=0.001)), torque_sd=0.02)
+    ]
+    with pytest.raises(InputError, match="too coarse for its acceleration"):
+        evaluator_for(trials)
 
 
 def test_no_resonance_is_sought_beyond_what_is_compared():

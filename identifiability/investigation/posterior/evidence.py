@@ -44,6 +44,7 @@ _SOLVER = 1.0  # squared error of the integration, all samples together, over th
 _CARRIED = 2  # starts that a fit is carried on from
 _REFERENCE_ROUNDS, _SETTLED = 5, 1e-3
 _LEAST_EIGENVALUE = 1e-12
+_BLINDS = 0.5  # share of what is left that is noise of the angle, where it hides the inertia
 _DIVERGED = 1e3  # responses that a model may leave, and still be said to have one
 _LEAST_LEFT = 0.1  # share of a precision that noise of the angle leaves
 _PLAIN = ((0, 0), (1, 0), (1, 1))  # orders that the noise of a better model may fall to
@@ -433,19 +434,34 @@ def evaluator_of(band: Band, values: Mapping[str, float], *, seed: int = 1) -> E
     problem = band.problem(KBI())
     x, tried = problem.free_vector(values), every
     reference, shortlist = Reference.of(band, problem.complete(x)[:3], problem, seed), every
-    for rounds in range(_REFERENCE_ROUNDS):
-        reference = replace(reference, joint=problem.complete(x)[:3])
+
+    def left_at(x: np.ndarray) -> tuple[Reference, list[np.ndarray], Weights]:
+        here = replace(reference, joint=problem.complete(x)[:3])
         raw, _ = raw_residuals(problem, band, x)
-        weights = reference.weights(raw, tried)
+        return here, raw, here.weights(raw, tried)
+
+    def without_inertia() -> bool:
+        return angle and bool(touching(x, problem.lower, problem.upper)[0][2])
+
+    start = x
+    for rounds in range(_REFERENCE_ROUNDS):
+        reference, raw, weights = left_at(x)
         weighed = Weighed(reference.probe_problem or problem, band, weights, True)
         before, x = x, explore(weighed, x[None], evaluations=2 * _EVALUATIONS).values
         # The order is chosen at the start and once more, then kept.
         tried = every if rounds == 0 else weights.contenders[:1]
         if rounds <= 1:
             shortlist = weights.contenders
+        if without_inertia() and weights.excess < _BLINDS * band.n_samples:
+            # Not for noise of the angle: K, B and I are no picture of this joint, such as one whose
+            # torque is recorded late. What they leave tells no colour of the noise.
+            x, tried = start, every
+            reference, raw, weights = left_at(x)
+            shortlist = weights.contenders
+            break
         if np.max(np.abs(x - before) / np.maximum(np.abs(x), 1e-300)) < _SETTLED:
             break
-    if angle and touching(x, problem.lower, problem.upper)[0][2]:
+    if without_inertia():
         raise InputError(
             f"found an inertia at its lower bound, {problem.lower[2]:g} kg m², once the noise's "
             "colour counts: the angle is too coarse for its acceleration; record it finer, or "
