@@ -12,6 +12,7 @@ from identifiability.benchmark.anatomy import Anatomy
 from identifiability.benchmark.blind import blind_cases
 from identifiability.benchmark.effects import (
     CoulombFriction,
+    CubicStiffness,
     MaxwellBranch,
     SensorDelay,
     SensorLowpass,
@@ -533,6 +534,27 @@ def test_an_angle_too_coarse_for_its_acceleration_is_said_to_be():
     ]
     with pytest.raises(InputError, match="too coarse for its acceleration"):
         evaluator_for(trials)
+
+
+def test_what_is_compared_is_exact_for_a_joint_that_is_known():
+    # One trial's first movement is too small to be seen as one, and the last ends in motion.
+    joint = Joint(ANATOMY, (CubicStiffness(20.0, 0.2, "polynomial"),))
+    time = np.arange(400) / 500
+    moves = [
+        Motion(np.array([0.1, 0.3]), np.array([height, -0.25]), 60.0) for height in (0.2, -0.004)
+    ]
+    moves.append(Motion(np.array([0.1, 0.75]), np.array([0.1, 0.1]), 60.0))
+    trials = [
+        Trial(time, reaction(joint, motion, time), motion.at(time)[0], driven="angle")
+        for motion in moves
+    ]
+    band = band_of(trials, ())
+    model = KBI() + EFFECTS["cubic_stiffness"]()
+    known = {"K": 26.0, "B": 1.0, "I": 0.08, "cubic_stiffness.coefficient": 20 / 3 / 0.2**2}
+    problem = band.problem(model)
+    residuals = problem.residuals(problem.free_vector(known | {"cubic_stiffness.centre": 0.0}))
+    for left in band.stretches(problem.by_observation(residuals[:, None])):
+        assert np.ptp(left) < 2e-3 * band.scale
 
 
 def test_no_resonance_is_sought_beyond_what_is_compared():

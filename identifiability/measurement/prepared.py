@@ -296,16 +296,18 @@ def _imposed_torque(trial: Trial) -> tuple[Prepared, int]:
 def _postures(trials: Sequence[Trial], cutoff_hz: float | None) -> tuple[bool, list[float]]:
     """Operating points: whether those that the trials rest at before they move, and angles [rad].
 
-    A short hold may be one of many, but not where all trials begin at one angle. Trials that begin
-    in motion have one operating point in common: springs that are not linear act about the same
-    angle in all of them.
+    A short hold may be one of many, but not where all trials begin at one angle. Then, and where
+    trials begin in motion, they have one operating point in common: springs that are not linear act
+    about the same angle in all of them.
     """
     quiet = [_quiet(trial, cutoff_hz) for trial in trials]
     together = np.concatenate([trial.angle for trial in trials])
     if min(quiet) >= _RESTS:
         found = [float(t.angle[:n].mean()) for t, n in zip(trials, quiet, strict=True)]
-        alike = len(trials) > 1 and np.ptp(found) < _ALIKE * together.std()
-        if alike or all(_rests_first(onsets(trial)) for trial in trials):
+        if len(trials) > 1 and np.ptp(found) < _ALIKE * together.std():
+            # A first movement too small to be seen as one would shift the mean of its own trial.
+            return True, [float(np.median(found))] * len(trials)
+        if all(_rests_first(onsets(trial)) for trial in trials):
             return True, found
     return False, [float(together.mean())] * len(trials)
 

@@ -227,7 +227,7 @@ class Trial:
         """Return every `factor`-th sample, freed of what would fold back.
 
         A symmetric filter that leaves lower frequencies as they are, of ten kept samples to either
-        side. Beyond both ends the recording is taken to stay as it is there.
+        side. Beyond both ends the recording is taken to go on as it came, turned about its end.
 
         Raises
         ------
@@ -238,7 +238,7 @@ class Trial:
         taps = signal.firwin(2 * reach + 1, 1 / factor) if factor > 1 else np.ones(1)
 
         def kept(values: np.ndarray) -> np.ndarray:
-            around = np.pad(values, taps.size // 2, mode="edge")
+            around = np.pad(values, taps.size // 2, mode="reflect", reflect_type="odd")
             return np.asarray(signal.fftconvolve(around, taps, mode="valid")[:: int(factor)])
 
         note = f"one sample in {int(factor)} kept, behind a filter against aliasing"

@@ -13,7 +13,7 @@ from functools import cached_property
 
 import numpy as np
 from scipy import signal
-from scipy.ndimage import convolve1d, maximum_filter1d, minimum_filter1d
+from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from identifiability.errors import InputError
 from identifiability.inference.problem import Observation, Prior, Problem
@@ -312,8 +312,9 @@ def _alike(trials: list[Trial]) -> list[Trial]:
 
 
 def _halve(values: np.ndarray) -> np.ndarray:
-    """Values without the upper half of their band; beyond the ends they stay as they are there."""
-    return np.asarray(convolve1d(values, _HALF_BAND, mode="nearest"))
+    """Values without the upper half of their band; beyond the ends they go on as they came."""
+    around = np.pad(values, _HALF_BAND.size // 2, mode="reflect", reflect_type="odd")
+    return np.convolve(around, _HALF_BAND, mode="valid")
 
 
 def _halved(prepared: Prepared) -> Prepared:
