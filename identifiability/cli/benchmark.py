@@ -1,4 +1,4 @@
-"""``identifiability benchmark``: investigation and solver judged where the truth is known."""
+"""``identifiability benchmark``: the package judged where the truth is known, and timed."""
 
 from __future__ import annotations
 
@@ -20,18 +20,19 @@ def add_parser(commands: Any) -> None:
     """Add the subcommand."""
     parser = commands.add_parser(
         "benchmark",
-        help="judge the investigation, the widths or the solver where the truth is known",
+        help="judge the package where the truth is known, or time it",
         description="calibration: simulate joints with hidden effects, torque or angle imposed, in "
         "any noise, weigh what may be missing, and count whether probabilities are what they say. "
         "coverage: fit K, B and I to simulated recordings with noise of every kind, "
         "and count how often their intervals hold the truth. solver: integrate every non-linear "
-        "effect at many sampling rates, and compare with far finer steps. An interrupted run goes "
-        "on where it was when the same command is typed again.",
+        "effect at many sampling rates, and compare with far finer steps. speed: investigate six "
+        "and sixteen trials and long records, and say how long it takes and where the time goes. "
+        "An interrupted run goes on where it was when the same command is typed again.",
     )
     parser.add_argument(
         "what",
-        choices=("calibration", "coverage", "solver"),
-        help="what is judged",
+        choices=("calibration", "coverage", "solver", "speed"),
+        help="what is judged, or timed",
     )
     parser.add_argument(
         "--cases", type=int, default=520, metavar="N", help="calibration: in all, about (520)"
@@ -51,6 +52,7 @@ def run(options: argparse.Namespace) -> int:
         "solver": _run_solver,
         "coverage": _run_coverage,
         "calibration": _run_calibration,
+        "speed": _run_speed,
     }
     return runs[options.what](options)
 
@@ -122,3 +124,24 @@ def _run_solver(options: argparse.Namespace) -> int:
     print(f"{sum(row.passes for row in rows)} of {len(rows)} rows below {found['allowed']:g}")
     print(f"\nwritten: {out}/solver.md, solver.json")
     return 0 if all(row.passes for row in rows) else PARTIAL
+
+
+def _run_speed(options: argparse.Namespace) -> int:
+    check_seed(options.seed)
+    from identifiability.benchmark.speed import SIZES, measure, record
+    from identifiability.files import output_folder, write_json, write_text
+    from identifiability.report.speed import speed_page
+
+    out = output_folder(options.out)
+    cells = out / "speed.cells"
+    rows, outcomes = measure(SIZES, seed=options.seed, folder=cells)
+    found = record(rows, seed=options.seed)
+    write_json(out / "speed.json", found)
+    write_text(out / "speed.md", speed_page(found))
+    for row in rows:
+        print(
+            f"{row.size.name}, {row.size.imposed} imposed: {row.empty.seconds:.0f} s with an empty "
+            f"cache, {row.full.seconds:.0f} s with a full one, silent for {row.full.silence:.0f} s"
+        )
+    print(f"\nwritten: {out}/speed.md, speed.json")
+    return PARTIAL if complain(outcomes, cells) else 0

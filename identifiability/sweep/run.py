@@ -80,7 +80,7 @@ def sweep(
     """
     if executor is not None and timeout_s is not None:
         raise InputError("found a time limit and an executor; only the default one can keep limits")
-    workers = workers or _processors()
+    workers = workers or processors()
     with ExitStack() as stack:
         keep = stack.enter_context(Keep(folder, function))
         found: dict[str, Outcome] = {}
@@ -110,7 +110,7 @@ def sweep(
     return {name: found[name] for name in tasks}
 
 
-def _processors() -> int:
+def processors() -> int:
     """Count the processors that this process may use."""
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
