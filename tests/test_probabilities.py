@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from constructed import probabilities
+from hidden import trials as trials_of
 from scipy import integrate, stats
 from scipy.optimize import least_squares
 
@@ -596,6 +597,23 @@ def test_a_small_second_effect_may_only_mend_the_equations_of_the_first(added, s
     named = weighing._named({})
     odds = np.exp(named["gravity", "second_mass"] - named["gravity",])
     assert odds > 1e6 if sure else 1 < odds < 10
+
+
+@pytest.mark.parametrize("driven", ["torque", "angle"])
+def test_sets_that_leave_the_same_are_weighed_by_the_same_noise(driven):
+    """Of two that differ by where their noise was sought from, none is more probable for it."""
+    evaluator = evaluator_for(trials_of(KBI(), START, noise=0.01, driven=driven))
+    found = evaluator.evaluate(KBI(), [START])
+    problem = evaluator.band.problem(KBI(), probes=evaluator.reference.probes)
+    astray = replace(found.weights, estimate=found.weights.estimate.louder(1.25))
+    poor = evaluator.evaluated(problem, found.x, astray)
+    assert found.log_evidence - 55 < poor.log_evidence < found.log_evidence - 2
+    weighing = Weighing(evaluator, EFFECTS, found={(): found, ("gravity",): poor})
+    assert weighing._share()
+    better = weighing.found["gravity",].log_evidence
+    assert better == pytest.approx(found.log_evidence, abs=0.5)
+    assert weighing.found[()] is found
+    assert not weighing._share()
 
 
 class Pretended:

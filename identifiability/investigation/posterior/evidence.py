@@ -230,9 +230,11 @@ class Evaluator:
         points = np.array([problem.free_vector(values) for values in starts])
         beginnings = Beginnings.of(problem, self.band, inside(problem, points))
         own, white = self.starts
+        # A likelihood of noise has several optima: one that served a smaller model may serve again.
+        tried = (*self.orders, *(noise.contenders[:1] if noise is not None else ()))
         for weights in (noise or own, white):
             begun = beginnings.best(weights, _CARRIED)
-            found = self.settled(problem, begun, weights, refined, least)
+            found = self.settled(problem, begun, weights, refined, least, tried)
             if best is None or found.log_evidence > best.log_evidence:
                 best = found
         assert best is not None
@@ -297,6 +299,23 @@ class Evaluator:
                 break
         assert best is not None
         return best
+
+    def reweighed(self, found: Evaluated, contender: Contender) -> Evaluated:
+        """A model with its noise sought from another's, where that is better.
+
+        A likelihood of noise has several optima: two models that leave the same must not be told
+        apart by where the noise of each was sought from.
+        """
+        problem = self.band.problem(
+            found.model, refined=found.refined, scheme=found.scheme, probes=self.reference.probes
+        )
+        weights = self.reference.weights(found.raw, [contender])
+        here = self.evaluated(problem, found.x, weights, found.refined, [contender])
+        if not here.log_evidence > found.log_evidence:
+            return found
+        tried = weights.contenders[:1]
+        moved = self.settled(problem, found.x[None], weights, found.refined, tried=tried)
+        return max(here, moved, key=lambda one: one.log_evidence)
 
     @property
     def orders(self) -> tuple[Contender, ...]:

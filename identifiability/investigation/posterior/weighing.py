@@ -46,11 +46,12 @@ TRIFLE = 3e-3
 _FORM = 0.1  # share of what its effects do, that a model's equations may be wrong by
 _CONTENDS = 12.0  # nats that a set may be behind, for a discrepancy to be put beside it
 _MOST_BESIDE, _BEST_OF_SIZE = 6, 2
+_MOST_ROUNDS = 4  # in which sets are given what the likeliest has
 _LOST = 60.0  # nats behind the best from which a set is not fitted any further
 _FAR = 0.05  # share of what the best of its size gained, that a set may lack
 _SURE = 3.0  # nats by which values that no joint has must be better, to count
 _DRIFT = "sensor_drift"  # the effect that a discrepancy of the kind "drift" is
-_SAME = 0.5  # nats by which two discrepancies of one size may differ
+_SAME = 0.5  # nats by which two evidences of one thing may differ
 
 
 @dataclass(frozen=True, eq=False)
@@ -194,15 +195,61 @@ class Weighing:
             self.taken_up[keys] = self.found[keys]
 
     def settle(self) -> None:
-        """Take up the sets that come near, until none is left that was not."""
-        while True:
-            ranked = sorted(self.found, key=lambda keys: -self.score(keys))
-            least = self.score(ranked[0]) - _CONTENDS
-            near = [keys for keys in ranked[:_MOST_BESIDE] if self.score(keys) > least]
-            left = [k for k in near if self.taken_up.get(k) is not self.found[k]]
-            if not left:
-                return
-            self.take_up(left)
+        """Take up the sets that come near, until none is left that was not.
+
+        What comes near is looked for again once all have what the likeliest has.
+        """
+        for _ in range(_MOST_ROUNDS):
+            while left := [k for k in self._within(_CONTENDS) if not self._is_taken_up(k)]:
+                self.take_up(left)
+            if not self._share():
+                break
+
+    def _within(self, nats: float) -> list[Keys]:
+        """The most probable sets, no more than so many nats behind the first."""
+        ranked = sorted(self.found, key=lambda keys: -self.score(keys))
+        least = self.score(ranked[0]) - nats
+        return [keys for keys in ranked[:_MOST_BESIDE] if self.score(keys) > least]
+
+    def _is_taken_up(self, keys: Keys) -> bool:
+        return self.taken_up.get(keys) is self.found[keys]
+
+    def _share(self) -> bool:
+        """Give the sets that come near what the likeliest of them has; whether any is better so.
+
+        Its noise to seek theirs from, and the richer forms of the effects that they have as well:
+        sets are not to be told apart by what was tried with one and not with the other.
+        """
+        near = self._within(_LOST)
+        lead = self.found[max(near, key=lambda keys: self.found[keys].log_likelihood)]
+        noise = lead.weights.contenders[0]
+        others = [keys for keys in near if self.found[keys] is not lead]
+
+        def alike(keys: Keys) -> Evaluated:
+            known = self.found[keys]
+            forms = [k for k in lead.refined if k in keys and k not in known.refined]
+            if forms:
+                shapes = {n: v for n, v in lead.values.items() if n.split(".")[0] in forms}
+                richer = self._evaluations.evaluate(
+                    known.model,
+                    [known.values, {**known.values, **shapes}],
+                    refined=(*known.refined, *forms),
+                    scheme=known.scheme,
+                    noise=lead.weights,
+                )
+                if richer.log_evidence > known.log_evidence:
+                    known = richer
+            return self.evaluator.reweighed(known, noise)
+
+        better = False
+        for keys, found in zip(others, _side_by_side(alike, others), strict=True):
+            if isinstance(found, str):
+                continue  # it stays as it was
+            better |= found.log_evidence > self.found[keys].log_evidence + _SAME
+            if self._is_taken_up(keys):
+                self.taken_up[keys] = found
+            self.found[keys] = found
+        return better
 
     def describe(self) -> None:
         """Evaluate descriptions in the place of effects of the best set of every size."""
