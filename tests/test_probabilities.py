@@ -246,6 +246,11 @@ def test_a_model_is_integrated_as_finely_as_telling_it_from_others_asks():
     found = evaluator.evaluate(model, [values], scheme=long)
     exact = evaluator.evaluate(model, [values], scheme=short)
     assert found.scheme.is_finer_than(long)
+    # Both by one noise: its optimum may be found from one fit and not from the other.
+    noise = [one.weights.contenders[0] for one in (found, exact)]
+    found, exact = (
+        evaluator.reweighed(*pair) for pair in zip((found, exact), noise[::-1], strict=True)
+    )
     assert abs(found.log_evidence - exact.log_evidence) < 2
     problem = evaluator.band.problem(model, scheme=long)
     start = np.array([problem.free_vector(values)])

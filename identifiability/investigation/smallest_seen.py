@@ -212,7 +212,7 @@ class _Hidden:
         points = inside(without, np.array(self._starts(values, without)))
         tried = own.contenders
         try:
-            smaller = self.evaluator.settled(without, points, own, known.refined, tried=tried)
+            smaller = self.evaluator.settled(without, points, own, known.refined, also=tried)
             x = changed.free_vector(values)
             larger = self.evaluator.evaluated(changed, x, own, known.refined, tried)
         except (ValueError, np.linalg.LinAlgError):

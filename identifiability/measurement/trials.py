@@ -19,6 +19,8 @@ MIN_SAMPLES = 3
 UNIFORMITY = 1e-6
 """Largest relative departure of one time step from the sampling interval."""
 
+_IN_MOTION = 0.02  # share of the fastest motion, from which on an end is not at rest
+
 
 @dataclass(frozen=True, eq=False)
 class Trial:
@@ -227,7 +229,8 @@ class Trial:
         """Return every `factor`-th sample, freed of what would fold back.
 
         A symmetric filter that leaves lower frequencies as they are, of ten kept samples to either
-        side. Beyond both ends the recording is taken to go on as it came, turned about its end.
+        side. Beyond an end at rest the recording is taken to stay as it is there; beyond one in
+        motion, to go on as it came (`extended`).
 
         Raises
         ------
@@ -238,7 +241,7 @@ class Trial:
         taps = signal.firwin(2 * reach + 1, 1 / factor) if factor > 1 else np.ones(1)
 
         def kept(values: np.ndarray) -> np.ndarray:
-            around = np.pad(values, taps.size // 2, mode="reflect", reflect_type="odd")
+            around = extended(values, taps.size // 2, self.angle)
             return np.asarray(signal.fftconvolve(around, taps, mode="valid")[:: int(factor)])
 
         note = f"one sample in {int(factor)} kept, behind a filter against aliasing"
@@ -306,6 +309,35 @@ class Trial:
         # dataclasses.replace types its keywords loosely, which is what is wanted here.
         changes: dict[str, object] = {**columns, "notes": (*self.notes, note)}
         return dataclasses.replace(self, **changes)  # type: ignore[arg-type]
+
+
+def extended(values: FloatArray, n: int, angle: FloatArray) -> FloatArray:
+    """Values with so many more beyond each end, for a filter that reaches there.
+
+    At rest they stay as they are at the end: turned about it, they would be as far off as twice its
+    noise. In motion they are turned about it: if they stopped there, what is seen of the torque of
+    inertia would be a blow.
+
+    Parameters
+    ----------
+    values : array, shape (m,)
+    n : int
+    angle : array, shape (m,)
+        That moves or rests [rad].
+
+    Returns
+    -------
+    array, shape (m + 2 n,)
+    """
+    near = min(n, angle.size - 1)
+    moved = np.abs(angle[near:] - angle[: angle.size - near])
+    ends = np.pad(values, n, mode="edge")
+    turned = np.pad(values, n, mode="reflect", reflect_type="odd")
+    if moved[0] > _IN_MOTION * moved.max():
+        ends[:n] = turned[:n]
+    if moved[-1] > _IN_MOTION * moved.max():
+        ends[-n:] = turned[-n:]
+    return ends
 
 
 def onsets(trial: Trial, *, separation: float = 0.1, hold: float = 0.02) -> NDArray[np.intp]:

@@ -33,7 +33,7 @@ from identifiability.measurement.filtering import (
 from identifiability.measurement.noise import Noise
 from identifiability.measurement.perturbations import imposed_motion
 from identifiability.measurement.prepared import Prepared, prepare_whole_band
-from identifiability.measurement.trials import Trial
+from identifiability.measurement.trials import Trial, extended
 
 _HALF_BAND = signal.firwin(23, 0.5)
 _ENOUGH = 3.9  # samples a cycle of the cut-off, of which every other one is enough
@@ -180,7 +180,7 @@ class Band:
             noise = np.fft.irfft(np.exp(1j * phases), n)
             noise /= noise.std()
             if self.every > 1:
-                noise = _halve(noise) / np.sqrt(np.sum(_HALF_BAND**2))
+                noise = _halve(noise, p.trial.angle) / np.sqrt(np.sum(_HALF_BAND**2))
             out.append(p.trial.angle + sd * noise)
         return out
 
@@ -311,23 +311,23 @@ def _alike(trials: list[Trial]) -> list[Trial]:
     return [t.thinned(f) if f > 1 else t for t, f in zip(trials, factors, strict=True)]
 
 
-def _halve(values: np.ndarray) -> np.ndarray:
-    """Values without the upper half of their band; beyond the ends they go on as they came."""
-    around = np.pad(values, _HALF_BAND.size // 2, mode="reflect", reflect_type="odd")
+def _halve(values: np.ndarray, angle: np.ndarray) -> np.ndarray:
+    """Values without the upper half of their band; beyond the ends as the angle moves there."""
+    around = extended(values, _HALF_BAND.size // 2, angle)
     return np.convolve(around, _HALF_BAND, mode="valid")
 
 
 def _halved(prepared: Prepared) -> Prepared:
     """A trial without the upper half of its band, compared where the filter knew all it needed."""
     trial, reach = prepared.trial, _HALF_BAND.size // 2
-    angle = _halve(trial.angle)
+    angle = _halve(trial.angle, trial.angle)
     # At a beginning at rest, which `prepared` shows by comparing it, the filter has no guess to do.
     first = prepared.first if prepared.first < reach // 2 + 1 else max(prepared.first, reach)
     return replace(
         prepared,
         trial=replace(trial, angle=angle),
         drive=imposed_motion(trial.time, angle),
-        response=_halve(prepared.response),
+        response=_halve(prepared.response, trial.angle),
         first=first,
         last=min(prepared.last, trial.n_samples - reach),
     )

@@ -35,6 +35,7 @@ from identifiability.investigation.posterior.columns import (
 )
 from identifiability.investigation.posterior.evidence import Evaluated, Evaluator
 from identifiability.investigation.posterior.growing import growing_noise, liveliness
+from identifiability.investigation.posterior.noises import Weights
 
 _CHANGES = 0.5  # of its value, by which a parameter may differ
 _LARGEST, _SMALLEST, _FIRST = 3.0, 1e-6, 0.1  # sizes, over the response's
@@ -83,10 +84,13 @@ class Discrepancy:
     evaluator : Evaluator
     columns : mapping of str to Columns
         By kind.
+    noise : Weights
+        That of a model that fits well: what a model leaves beside its discrepancy may be alike.
     """
 
     evaluator: Evaluator
     columns: Mapping[str, Columns]
+    noise: Weights
 
     def beside(self, found: Evaluated, most: float | None = None) -> Discrepant:
         """A model with a discrepancy, noise and discrepancy estimated in turn.
@@ -102,7 +106,11 @@ class Discrepancy:
         cap = _LARGEST * self.evaluator.band.scale if most is None else most
         caps = np.append(np.full(len(self.columns), cap), min(cap, _CHANGES * size))
         columns = net({**self.columns, "inconstant": own}, found)
-        return _Beside(self.evaluator, columns, caps, self._lively).of(found)
+        beside = _Beside(self.evaluator, columns, caps, self._lively)
+        # Noise and discrepancy stay near where they start from: what a model leaves without one
+        # is more and slower than what it leaves beside it.
+        starts = [found.weights] if self.noise is found.weights else [found.weights, self.noise]
+        return max((beside.of(found, w) for w in starts), key=lambda one: one.log_evidence)
 
     @cached_property
     def _lively(self) -> np.ndarray:
@@ -140,8 +148,8 @@ class _Beside:
         widths = [columns.there[0].shape[1] for columns in self.columns.values()]
         return np.repeat(np.arange(len(widths)), widths)
 
-    def of(self, found: Evaluated) -> Discrepant:
-        """The model with the discrepancy of highest evidence: see `Discrepancy.beside`."""
+    def of(self, found: Evaluated, weights: Weights) -> Discrepant:
+        """The model with the discrepancy of highest evidence, from some noise on."""
         evaluator, band = self.evaluator, self.evaluator.band
         sizes = np.minimum(_FIRST * band.scale, self.caps)
         problem = band.problem(
@@ -151,7 +159,9 @@ class _Beside:
             probes=evaluator.reference.probes,
         )
         here, best = found, None
-        tried = evaluator.orders
+        if weights is not found.weights:
+            here = evaluator.evaluated(problem, found.x, weights, found.refined)
+        tried = (*evaluator.orders, *weights.contenders[:1])
         for _ in range(_ROUNDS):
             white = here.weights.whitened(self._all)
             shared = here.directions.T @ white
@@ -284,4 +294,4 @@ def _known(
 
 def discrepancy_of(evaluator: Evaluator, best: Evaluated) -> Discrepancy:
     """Prepare the discrepancies, for the motion that a model which fits well predicts."""
-    return Discrepancy(evaluator, columns_of(evaluator, *motions(evaluator, best)))
+    return Discrepancy(evaluator, columns_of(evaluator, *motions(evaluator, best)), best.weights)

@@ -47,7 +47,7 @@ _LEAST_EIGENVALUE = 1e-12
 _BLINDS = 0.5  # share of what is left that is noise of the angle, where it hides the inertia
 _DIVERGED = 1e3  # responses that a model may leave, and still be said to have one
 _LEAST_LEFT = 0.1  # share of a precision that noise of the angle leaves
-_PLAIN = ((0, 0), (1, 0), (1, 1))  # orders that the noise of a better model may fall to
+_PLAIN = ((0, 0), (1, 0), (1, 1), (2, 0), (2, 1))  # to which that of a better model may fall
 
 
 @dataclass(frozen=True)
@@ -230,11 +230,10 @@ class Evaluator:
         points = np.array([problem.free_vector(values) for values in starts])
         beginnings = Beginnings.of(problem, self.band, inside(problem, points))
         own, white = self.starts
-        # A likelihood of noise has several optima: one that served a smaller model may serve again.
-        tried = (*self.orders, *(noise.contenders[:1] if noise is not None else ()))
+        also = noise.contenders[:1] if noise is not None else ()
         for weights in (noise or own, white):
             begun = beginnings.best(weights, _CARRIED)
-            found = self.settled(problem, begun, weights, refined, least, tried)
+            found = self.settled(problem, begun, weights, refined, least, also)
             if best is None or found.log_evidence > best.log_evidence:
                 best = found
         assert best is not None
@@ -279,20 +278,22 @@ class Evaluator:
         weights: Weights,
         refined: Sequence[str] = (),
         least: float = -np.inf,
-        tried: Sequence[Contender] = (),
+        also: Sequence[Contender] = (),
     ) -> Evaluated:
         """Model and noise fitted in turn, from given points and noise: see `evaluate`.
 
-        The noise is sought among `orders`, or among those that are given.
+        A likelihood of noise has several optima, and what a poor fit leaves is of another colour.
+        So noise is sought from where it was before and from where others `also` ended; at first
+        among plain orders, at last among all.
         """
-        best, tried = None, tried or self.orders
-        for _ in range(_ROUNDS):
+        best = None
+        for orders in (*[self.plain] * (_ROUNDS - 1), self.orders):
             weighed = Weighed(problem, self.band, weights)
             x = explore(weighed, points, evaluations=_EVALUATIONS).values
             points = x[None]
+            tried = (*orders, *weights.contenders[:1], *also)
             weights = self.reference.weights(raw_residuals(problem, self.band, x)[0], tried)
             found = self.evaluated(problem, x, weights, refined, tried)
-            tried = weights.contenders[:1]
             if best is None or found.log_evidence > best.log_evidence:
                 best = found
             if found.log_evidence < least:
@@ -303,8 +304,7 @@ class Evaluator:
     def reweighed(self, found: Evaluated, contender: Contender) -> Evaluated:
         """A model with its noise sought from another's, where that is better.
 
-        A likelihood of noise has several optima: two models that leave the same must not be told
-        apart by where the noise of each was sought from.
+        Two that leave the same must not be told apart by where the noise of each was sought from.
         """
         problem = self.band.problem(
             found.model, refined=found.refined, scheme=found.scheme, probes=self.reference.probes
@@ -313,17 +313,19 @@ class Evaluator:
         here = self.evaluated(problem, found.x, weights, found.refined, [contender])
         if not here.log_evidence > found.log_evidence:
             return found
-        tried = weights.contenders[:1]
-        moved = self.settled(problem, found.x[None], weights, found.refined, tried=tried)
+        moved = self.settled(problem, found.x[None], weights, found.refined)
         return max(here, moved, key=lambda one: one.log_evidence)
 
     @property
     def orders(self) -> tuple[Contender, ...]:
         """Orders of the noise that are tried: the shortlist, and plain ones."""
-        carried = self.band.angle_imposed
-        plain = [Contender(Order(p, q, carried)) for p, q in _PLAIN]
         known = {contender.order for contender in self.shortlist}
-        return (*self.shortlist, *(c for c in plain if c.order not in known))
+        return (*self.shortlist, *(c for c in self.plain if c.order not in known))
+
+    @property
+    def plain(self) -> tuple[Contender, ...]:
+        """Plain orders of the noise, each sought from anew."""
+        return tuple(Contender(Order(p, q, self.band.angle_imposed)) for p, q in _PLAIN)
 
     def evaluated(
         self,
