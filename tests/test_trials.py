@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from identifiability.errors import InputError
-from identifiability.measurement.trials import Trial, onsets, quiet_lead
+from identifiability.measurement.trials import Trial, extended, onsets, quiet_lead
 
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
@@ -305,3 +305,14 @@ def test_practice_trials_start_after_50_quiet_samples():
     for file in files:
         time, torque, angle = np.loadtxt(file, delimiter=",", skiprows=1, unpack=True)
         assert quiet_lead(Trial(time, torque, angle)) == 50, file.name
+
+
+def test_beyond_an_end_at_rest_a_recording_stays_and_beyond_one_in_motion_it_goes_on():
+    time = np.arange(100) / 100
+    angle = np.where(time < 0.5, 0.0, time - 0.5)  # rests, then moves to the end
+    torque = 3.0 * angle + 0.1 * (time == 0)  # the first sample is off by noise
+    around = extended(torque, 8, angle)
+    np.testing.assert_array_equal(around[8:-8], torque)
+    np.testing.assert_array_equal(around[:8], torque[0])
+    np.testing.assert_allclose(np.diff(around[-9:]), 0.03)
+    np.testing.assert_allclose(np.diff(extended(torque[::-1], 8, angle[::-1])[:9]), -0.03)
