@@ -19,17 +19,16 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
+from identifiability.benchmark.blind import Imposed
 from identifiability.benchmark.joints import Joint, draw_joint
 from identifiability.benchmark.motion import Motion, reaction
 from identifiability.provenance import code_fingerprint, stamp
 from identifiability.sweep.outcome import Arrays, Outcome
 from identifiability.sweep.run import processors, sweep
-
-Imposed = Literal["torque", "angle"]
 
 _CODE = ("identifiability.cli.investigate", "identifiability.cli.fit")
 _EFFECT = "stretch_reflex"

@@ -152,12 +152,7 @@ class _Beside:
         """The model with the discrepancy of highest evidence, from some noise on."""
         evaluator, band = self.evaluator, self.evaluator.band
         sizes = np.minimum(_FIRST * band.scale, self.caps)
-        problem = band.problem(
-            found.model,
-            refined=found.refined,
-            scheme=found.scheme,
-            probes=evaluator.reference.probes,
-        )
+        problem = evaluator.problem_of(found)
         here, best = found, None
         if weights is not found.weights:
             here = evaluator.evaluated(problem, found.x, weights, found.refined)

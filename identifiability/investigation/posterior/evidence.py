@@ -301,14 +301,18 @@ class Evaluator:
         assert best is not None
         return best
 
+    def problem_of(self, found: Evaluated) -> Problem:
+        """Problem that a model was fitted in."""
+        return self.band.problem(
+            found.model, refined=found.refined, scheme=found.scheme, probes=self.reference.probes
+        )
+
     def reweighed(self, found: Evaluated, contender: Contender) -> Evaluated:
         """A model with its noise sought from another's, where that is better.
 
         Two that leave the same must not be told apart by where the noise of each was sought from.
         """
-        problem = self.band.problem(
-            found.model, refined=found.refined, scheme=found.scheme, probes=self.reference.probes
-        )
+        problem = self.problem_of(found)
         weights = self.reference.weights(found.raw, [contender])
         here = self.evaluated(problem, found.x, weights, found.refined, [contender])
         if not here.log_evidence > found.log_evidence:

@@ -278,8 +278,7 @@ class Weighing:
     def _near(self) -> list[Keys]:
         """Sets that come near the best, and the best of every size."""
         ranked = sorted(self.found, key=lambda keys: -self.score(keys))
-        least = self.score(ranked[0]) - _CONTENDS
-        near = [keys for keys in ranked if self.score(keys) > least][:_MOST_BESIDE]
+        near = self._within(_CONTENDS)
         # Inexact equations may make up for an effect more.
         for n in sorted({len(keys) for keys in ranked}):
             of_size = [keys for keys in ranked if len(keys) == n][:_BEST_OF_SIZE]
