@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 from identifiability.cli.exits import PARTIAL, complain
@@ -57,6 +59,16 @@ def run(options: argparse.Namespace) -> int:
     return runs[options.what](options)
 
 
+def _publish(out: Path, name: str, found: dict[str, Any], page: str, said: Sequence[str]) -> None:
+    """Write a benchmark's record and page, then print what it found."""
+    from identifiability.files import write_json, write_text
+
+    write_json(out / f"{name}.json", found)
+    write_text(out / f"{name}.md", page)
+    print(*said, sep="\n")
+    print(f"\nwritten: {out}/{name}.md, {name}.json")
+
+
 def _run_calibration(options: argparse.Namespace) -> int:
     check_workers(options)
     if options.cases < 1:
@@ -64,21 +76,19 @@ def _run_calibration(options: argparse.Namespace) -> int:
     check_seed(options.seed)
     seed = options.seed
     from identifiability.benchmark.calibration import measure, record
-    from identifiability.files import output_folder, write_json, write_text
+    from identifiability.files import output_folder
     from identifiability.report.calibration import calibration_page
 
     out = output_folder(options.out)
     cells = out / "calibration.cells"
     scores, outcomes = measure(options.cases, seed=seed, folder=cells, workers=options.workers)
     found = record(scores, n=options.cases, seed=seed)
-    write_json(out / "calibration.json", found)
-    write_text(out / "calibration.md", calibration_page(found))
-    for t in found["tiers"]:
-        print(
-            f"{t['tier']}, {t['imposed']} imposed: {t['right']} of {t['n'] - t['weak']} right, "
-            f"{t['wrong']} wrong"
-        )
-    print(f"\nwritten: {out}/calibration.md, calibration.json")
+    said = [
+        f"{t['tier']}, {t['imposed']} imposed: {t['right']} of {t['n'] - t['weak']} right, "
+        f"{t['wrong']} wrong"
+        for t in found["tiers"]
+    ]
+    _publish(out, "calibration", found, calibration_page(found), said)
     return PARTIAL if complain(outcomes, cells) else 0
 
 
@@ -89,27 +99,25 @@ def _run_coverage(options: argparse.Namespace) -> int:
     check_seed(options.seed)
     seed = options.seed
     from identifiability.benchmark.coverage import measure, record
-    from identifiability.files import output_folder, write_json, write_text
+    from identifiability.files import output_folder
     from identifiability.report.coverage import coverage_page
 
     out = output_folder(options.out)
     cells = out / "coverage.cells"
     rows, outcomes = measure(options.recordings, seed=seed, folder=cells, workers=options.workers)
     found = record(rows, n=options.recordings, seed=seed)
-    write_json(out / "coverage.json", found)
-    write_text(out / "coverage.md", coverage_page(found))
-    for row in rows:
-        print(
-            f"{row.kind}, {row.imposed} imposed, {row.name}: {row.covered} of {row.n} "
-            f"({100 * row.interval[0]:.0f} to {100 * row.interval[1]:.0f} %)"
-        )
-    print(f"\nwritten: {out}/coverage.md, coverage.json")
+    said = [
+        f"{row.kind}, {row.imposed} imposed, {row.name}: {row.covered} of {row.n} "
+        f"({100 * row.interval[0]:.0f} to {100 * row.interval[1]:.0f} %)"
+        for row in rows
+    ]
+    _publish(out, "coverage", found, coverage_page(found), said)
     return PARTIAL if complain(outcomes, cells) else 0
 
 
 def _run_solver(options: argparse.Namespace) -> int:
     from identifiability.benchmark.solver import measure, questions, record
-    from identifiability.files import output_folder, write_json, write_text
+    from identifiability.files import output_folder
     from identifiability.report.solver import solver_page
 
     out = output_folder(options.out)
@@ -119,29 +127,25 @@ def _run_solver(options: argparse.Namespace) -> int:
         print(f"[{i + 1}/{len(asked)}] {' '.join(map(str, question))}", file=sys.stderr, flush=True)
         rows.append(measure(*question))
     found = record(rows)
-    write_json(out / "solver.json", found)
-    write_text(out / "solver.md", solver_page(found))
-    print(f"{sum(row.passes for row in rows)} of {len(rows)} rows below {found['allowed']:g}")
-    print(f"\nwritten: {out}/solver.md, solver.json")
+    said = [f"{sum(row.passes for row in rows)} of {len(rows)} rows below {found['allowed']:g}"]
+    _publish(out, "solver", found, solver_page(found), said)
     return 0 if all(row.passes for row in rows) else PARTIAL
 
 
 def _run_speed(options: argparse.Namespace) -> int:
     check_seed(options.seed)
     from identifiability.benchmark.speed import SIZES, measure, record
-    from identifiability.files import output_folder, write_json, write_text
+    from identifiability.files import output_folder
     from identifiability.report.speed import speed_page
 
     out = output_folder(options.out)
     cells = out / "speed.cells"
     rows, outcomes = measure(SIZES, seed=options.seed, folder=cells)
     found = record(rows, seed=options.seed)
-    write_json(out / "speed.json", found)
-    write_text(out / "speed.md", speed_page(found))
-    for row in rows:
-        print(
-            f"{row.size.name}, {row.size.imposed} imposed: {row.empty.seconds:.0f} s with an empty "
-            f"cache, {row.full.seconds:.0f} s with a full one, silent for {row.full.silence:.0f} s"
-        )
-    print(f"\nwritten: {out}/speed.md, speed.json")
+    said = [
+        f"{row.size.name}, {row.size.imposed} imposed: {row.empty.seconds:.0f} s with an empty "
+        f"cache, {row.full.seconds:.0f} s with a full one, silent for {row.full.silence:.0f} s"
+        for row in rows
+    ]
+    _publish(out, "speed", found, speed_page(found), said)
     return PARTIAL if complain(outcomes, cells) else 0
