@@ -41,7 +41,7 @@ def few_effects(monkeypatch):
     from identifiability.joint.effects import EFFECTS
 
     # A Maxwell branch would be of the tendon's form.
-    keys = ("cubic_stiffness", "sensor_delay", "series_tendon")
+    keys = ("cubic_stiffness", "series_tendon")
     few = partial(investigate, library={key: EFFECTS[key] for key in keys})
     monkeypatch.setattr("identifiability.investigation.investigate.investigate", few)
 

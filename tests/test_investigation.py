@@ -219,7 +219,8 @@ def test_the_missing_effect_is_found_and_the_error_falls_to_the_floor(cubic_stud
 def test_every_rung_leaves_less_than_the_one_before():
     model = KBI() + EFFECTS["cubic_stiffness"]() + EFFECTS["sensor_delay"]()
     values = CUBIC | {"sensor_delay.delay": 0.004}
-    study = study_of(model, values, SMALL)
+    both = ("cubic_stiffness", "sensor_delay")
+    study = study_of(model, values, {key: SMALL[key] for key in both})
     found = study.climb(study.weigh())
     assert len(found.missing) == 2
     errors = [rung.fitted.error for rung in found.ladder]
@@ -272,9 +273,8 @@ def test_a_convention_can_be_changed():
 
 def test_a_users_own_effect_competes_with_the_others():
     model = KBI() + LateSpring()
-    study = study_of(
-        model, JOINT | {"late_spring.stiffness": 12.0}, SMALL | {LateSpring.key: LateSpring}
-    )
+    library = {"quadratic_stiffness": SMALL["quadratic_stiffness"], LateSpring.key: LateSpring}
+    study = study_of(model, JOINT | {"late_spring.stiffness": 12.0}, library)
     assert study.claim(study.weigh()).sets == (("late_spring",),)
 
 

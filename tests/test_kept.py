@@ -1,5 +1,6 @@
 """Fits kept on disk: read again bit for bit, for the same question only."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -190,11 +191,12 @@ def test_a_weighing_that_was_stopped_goes_on(tmp_path, monkeypatch):
 
 
 def test_an_investigation_that_was_stopped_goes_on(tmp_path, fits):
+    """And the same seed gives the same record: what is read was found a second time."""
     library = {"series_tendon": SeriesTendon}
     hidden = trials(MODEL, VALUES), trials(MODEL, VALUES, seed=9, conditions=HELD)
 
     def study(**options):
-        return investigate(*hidden, library=library, with_widths=False, **options)
+        return investigate(*hidden, library=library, with_widths=False, seed=5, **options)
 
     whole = study()
     n_whole = len(fits)
@@ -212,6 +214,6 @@ def test_an_investigation_that_was_stopped_goes_on(tmp_path, fits):
     assert len(fits) == n_whole + n_stopped
     records = [investigation_record(found, command="") for found in (whole, resumed)]
     for record in records:
-        del record["timings"]
-    assert records[0] == records[1]
+        assert min(record.pop("timings").values()) >= 0
+    assert json.dumps(records[0]) == json.dumps(records[1])
     assert np.isfinite(records[0]["baseline"]["error_fit"])

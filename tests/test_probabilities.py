@@ -1,6 +1,7 @@
 """Probabilities of effect sets: evidence, noise of an imposed angle, something unknown, claims."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -42,6 +43,7 @@ from identifiability.investigation.posterior.growing import growing_noise
 from identifiability.investigation.posterior.noises import Weighed
 from identifiability.investigation.posterior.search import _Search
 from identifiability.investigation.posterior.weighing import Weighing
+from identifiability.investigation.rules import Rules
 from identifiability.investigation.session import Investigation
 from identifiability.investigation.wording.describe import describe
 from identifiability.joint.effects import EFFECTS
@@ -325,6 +327,28 @@ def test_what_resembles_relaxation_is_held_against_it():
     assert weighing.failures == {}
 
 
+def test_values_that_no_joint_has_are_not_taken_up():
+    """A weight that hangs from a segment of 8 mm, where a further search ends."""
+    model = KBI() + EFFECTS["gravity"]()
+    fine, impossible = (
+        START | {"gravity.moment": moment, "gravity.posture": 1.0} for moment in (6.0, 200.0)
+    )
+    evaluator = Valued(gravity=30.0)
+    evaluator.band = SimpleNamespace(angle_imposed=False)
+    known = evaluated_as(20.0, model, fine)
+    weighing = Weighing(evaluator, EFFECTS, found={("gravity",): known})
+    evaluator.evaluate = lambda *args, **how: evaluated_as(30.0, model, impossible)
+    weighing.take_up([("gravity",)])
+    assert weighing.found["gravity",] is known
+    assert "gravity" in weighing.failures
+    evaluator.band.angle_imposed = True
+    weighing.take_up([("gravity",)])
+    assert weighing.found["gravity",] is known  # it was taken up
+    weighing.taken_up.clear()
+    weighing.take_up([("gravity",)])
+    assert weighing.found["gravity",].log_evidence == 30.0
+
+
 def test_richer_forms_start_from_what_they_are_a_form_of():
     model = KBI() + EFFECTS["second_mass"]()
     values = dict(zip(model.parameter_names, model.nominal, strict=True))
@@ -583,23 +607,26 @@ def test_trials_of_several_rates_are_brought_to_the_lowest():
         band_of([slow, servo_trials(Joint(ANATOMY), n=1, rate=330)[0]], ())
 
 
-def weighing_of(moved, log_evidence):
+def weighing_of(moved, log_evidence, **options):
     """Sets with these predictions and evidence, and nothing else."""
     found = {
         keys: replace(evaluated_as(value, KBI(), {}), raw=[np.asarray(moved[keys], float)[:, None]])
         for keys, value in log_evidence.items()
     }
-    return Weighing(None, EFFECTS, found=found)
+    return Weighing(None, EFFECTS, found=found, **options)
 
 
-@pytest.mark.parametrize(("added", "sure"), [(0.05, False), (0.5, True)])
-def test_a_small_second_effect_may_only_mend_the_equations_of_the_first(added, sure):
+@pytest.mark.parametrize(
+    ("added", "rules", "sure"),
+    [(0.05, Rules(), False), (0.5, Rules(), True), (0.05, Rules(equations=0.01), True)],
+)
+def test_a_small_second_effect_may_only_mend_the_equations_of_the_first(added, rules, sure):
     """Up to a tenth of what the first explains, both are probable; beyond it one is."""
     none, one = np.zeros(4), np.array([1.0, -1.0, 1.0, -1.0])
     both = one + added * np.array([1.0, 1.0, -1.0, -1.0])
     keys = {(): none, ("gravity",): one, ("gravity", "second_mass"): both}
-    weighing = weighing_of(keys, dict(zip(keys, (0.0, 100.0, 150.0), strict=True)))
-    named = weighing._named({})
+    log_evidence = dict(zip(keys, (0.0, 100.0, 150.0), strict=True))
+    named = weighing_of(keys, log_evidence, rules=rules)._named({})
     odds = np.exp(named["gravity", "second_mass"] - named["gravity",])
     assert odds > 1e6 if sure else 1 < odds < 10
 

@@ -120,7 +120,7 @@ def test_example_trials_are_what_their_generator_writes(tmp_path):
 
 @pytest.fixture(scope="module")
 def example_fit():
-    return fit_recordings(example.example_trials(), window_lengths=[0.1], seed=1)
+    return fit_recordings(example.example_trials(), seed=1)
 
 
 @pytest.mark.parametrize(

@@ -6,6 +6,7 @@ from hidden import HELD, JOINT, trials
 from scipy.stats import binom
 
 from identifiability.investigation.posterior.discrepancy import discrepancy_of
+from identifiability.investigation.rules import Rules
 from identifiability.investigation.session import Investigation
 from identifiability.investigation.smallest_seen import _Hidden
 from identifiability.joint.effects import EFFECTS
@@ -55,7 +56,9 @@ def test_an_error_of_integration_is_no_trace():
     evaluator = study._evaluator(1)
     plain = evaluator.evaluate(KBI(), [study.baseline.values])
     any_form = discrepancy_of(evaluator, plain)
-    hidden = _Hidden(evaluator, plain, any_form, KBI() + EFFECTS[key](), key, 0.0, 0.0)
+    hidden = _Hidden(
+        evaluator, plain, any_form, KBI() + EFFECTS[key](), key, 0.0, Rules(bad_luck=0.0)
+    )
     gain, _ = hidden.gained(1 / 20e3)
     assert gain < 1
 

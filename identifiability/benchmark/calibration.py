@@ -14,7 +14,8 @@ import numpy as np
 
 from identifiability.benchmark.blind import TIERS, BlindSpec, blind_cases
 from identifiability.benchmark.cases import HiddenCase
-from identifiability.benchmark.score import NORMAL_95, matched, wilson
+from identifiability.benchmark.score import matched, wilson
+from identifiability.inference.curvature import NORMAL_95
 from identifiability.investigation.posterior.probabilities import Probabilities
 from identifiability.investigation.session import Investigation
 from identifiability.joint.effects import EFFECTS

@@ -10,8 +10,8 @@ from typing import Any, Literal
 import numpy as np
 
 from identifiability.benchmark.noisy_recordings import KINDS, recording
-from identifiability.benchmark.score import NORMAL_95, wilson
-from identifiability.inference.curvature import curvature
+from identifiability.benchmark.score import wilson
+from identifiability.inference.curvature import NORMAL_95, curvature
 from identifiability.inference.recordings import fit_with_noise
 from identifiability.provenance import stamp
 from identifiability.sweep.outcome import Arrays, Outcome

@@ -7,8 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.optimize import linear_sum_assignment
 
-NORMAL_95 = 1.96
-"""Standard deviations of a normal that a 95 % interval reaches to either side."""
+from identifiability.inference.curvature import NORMAL_95
 
 
 def matched(truth: Sequence[str], named: Sequence[Sequence[str]]) -> int:

@@ -7,6 +7,9 @@ import sys
 from pathlib import Path
 from typing import Any
 
+WINDOWS = (0.05, 0.1, 0.2)
+"""Lengths [s] of the windows that are fitted."""
+
 
 def add_parser(commands: Any) -> None:
     """Add the subcommand."""
@@ -40,11 +43,10 @@ def run(options: argparse.Namespace) -> int:
 
     out = output_folder(options.out)
     setting = Setting(K_CE, B_CE, K_SE, INERTIA)
-    lengths = (0.05, 0.1, 0.2)
     results = []
     trials = example_trials()
-    with tqdm(total=len(lengths) + 6, unit="part", file=sys.stderr) as bar:
-        for window in lengths:
+    with tqdm(total=len(WINDOWS) + 6, unit="part", file=sys.stderr) as bar:
+        for window in WINDOWS:
             bar.set_description(f"paper's setting, T = {1000 * window:g} ms")
             problem = measured_problem(setting, Impulse(), window)
             results.append(widths(problem, starts=setting.starts(), seed=1))
@@ -57,7 +59,7 @@ def run(options: argparse.Namespace) -> int:
             bar.set_description(f"shipped trials, {what}")
             bar.update(done > 1)
 
-        recording = fit_recordings(trials, window_lengths=lengths, seed=1, progress=advance)
+        recording = fit_recordings(trials, window_lengths=WINDOWS, seed=1, progress=advance)
         write_fit(recording, out / "trials")
         bar.update()
         findings = investigate(
@@ -95,7 +97,7 @@ What was found
   {after.error:.2g}, and the parameters, with the joint's own in brackets, are
   {", ".join(values)}."""
     )
-    for window, result in zip(lengths, results, strict=True):
+    for window, result in zip(WINDOWS, results, strict=True):
         print(f"\nThe paper's setting, T = {1000 * window:g} ms: {result.verdict}; {result.reason}")
         print(widths_text(result))
     print("\nThe shipped trials (simulated, not measured)")

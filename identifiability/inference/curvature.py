@@ -8,6 +8,9 @@ import numpy as np
 
 from identifiability.inference.problem import Problem
 
+NORMAL_95 = 1.96
+"""Standard deviations of a Gaussian that its 95 % interval reaches to either side."""
+
 
 @dataclass(frozen=True, eq=False)
 class Curvature:

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from identifiability.files import plain
-from identifiability.inference.curvature import Curvature, curvature
+from identifiability.inference.curvature import NORMAL_95, Curvature, curvature
 from identifiability.inference.fitting import Fit, explore, fit
 from identifiability.inference.problem import Problem
 from identifiability.inference.profiles import POINTS, Profile, Side, profile
@@ -357,7 +357,7 @@ def judge(
     size = f"the posterior sd of {name} is {ratio:.2f} times the quadratic width"
     if not np.isfinite(quadratic):
         size = f"the Hessian gives no width for {name}"
-    shifts = np.abs(np.array(posterior_95) - (optimum + 1.96 * quadratic * np.array([-1, 1])))
+    shifts = np.abs(np.array(posterior_95) - (optimum + NORMAL_95 * quadratic * np.array([-1, 1])))
     if abs(ratio - 1) <= WIDTH_TOLERANCE and np.all(shifts <= END_TOLERANCE * quadratic):
         return "agrees", f"{size} and its 95 % interval lies where a Gaussian's would"
     if np.isfinite(quadratic) and abs(ratio - 1) <= WIDTH_TOLERANCE:
@@ -384,7 +384,8 @@ def judge(
     if stretch > HEAVY_TAIL:
         return (
             "heavy-tailed",
-            f"{size}: its 95 % interval is {stretch:.2f} times its 68 % one, a Gaussian's 1.96",
+            f"{size}: its 95 % interval is {stretch:.2f} times its 68 % one, a Gaussian's "
+            f"{NORMAL_95:g}",
         )
     return "curved", f"{size}: the likelihood is not quadratic over the width of the posterior"
 

@@ -64,6 +64,10 @@ class Rules:
         repeated with finer steps.
     solver_most, solver_least : float
         Bounds of what it may be: where the noise is large or unknown, and where there is none.
+    trifle : float
+        Share of the response that is nothing unknown: instruments are linear to so much.
+    equations : float
+        Share of what its effects do, that a model's equations may be wrong by.
     most_effects : int
         Most effects to add.
     """
@@ -86,4 +90,6 @@ class Rules:
     solver_share: float = scheme.SHARE
     solver_most: float = scheme.MOST
     solver_least: float = scheme.LEAST
+    trifle: float = 3e-3
+    equations: float = 0.1
     most_effects: int = 4

@@ -177,7 +177,15 @@ class Investigation:
         lowpass_hz = self._recorded[2]
         identity = fingerprint(self.bench.identity, self.baseline.values, lowpass_hz, seed)
         kept = Evaluations(self._evaluator(seed), folder, identity)
-        return weigh(kept.evaluator, self.baseline, self.library, number, self.progress, kept)
+        return weigh(
+            kept.evaluator,
+            self.baseline,
+            self.library,
+            number,
+            self.progress,
+            kept,
+            self.bench.rules,
+        )
 
     def _evaluator(self, seed: int) -> Evaluator:
         """What weighs models of these trials, made once."""

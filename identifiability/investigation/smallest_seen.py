@@ -20,7 +20,6 @@ from identifiability.inference.problem import Problem
 from identifiability.inference.starts import starting_values
 from identifiability.investigation.posterior.discrepancy import Discrepancy, discrepancy_of
 from identifiability.investigation.posterior.evidence import Evaluated, Evaluator
-from identifiability.investigation.posterior.weighing import TRIFLE
 from identifiability.investigation.rules import Rules
 from identifiability.joint.effects.base import Effect
 from identifiability.joint.model import Model
@@ -100,7 +99,7 @@ def detectable(
             model = without.model + kind()
         except InputError:  # it does not go with an effect that is there
             continue
-        hidden.append(_Hidden(evaluator, without, any_form, model, key, odds, rules.bad_luck))
+        hidden.append(_Hidden(evaluator, without, any_form, model, key, odds, rules))
     found: list[Detectable] = []
     with ThreadPoolExecutor(THREADS) as pool:
         for i, one in enumerate(pool.map(_Hidden.smallest, hidden)):
@@ -126,8 +125,7 @@ class _Hidden:
     key : str
     odds : float
         Log evidence [nats] that its prior asks for.
-    bad_luck : float
-        See `Rules`.
+    rules : Rules
     """
 
     evaluator: Evaluator
@@ -136,7 +134,7 @@ class _Hidden:
     model: Model
     key: str
     odds: float
-    bad_luck: float
+    rules: Rules
 
     @cached_property
     def sizes(self) -> list[str]:
@@ -198,7 +196,7 @@ class _Hidden:
         if gained is None:
             return None
         gain, penalty = gained
-        needed = np.sqrt(2 * (self.odds + penalty)) + self.bad_luck
+        needed = np.sqrt(2 * (self.odds + penalty)) + self.rules.bad_luck
         return float(needed / np.sqrt(max(2 * (gain + penalty), 1e-2)))
 
     def gained(self, strength: float) -> tuple[float, float] | None:
@@ -219,7 +217,7 @@ class _Hidden:
             return None
         gain = larger.log_evidence - smaller.log_evidence
         penalty = max(0.0, larger.log_likelihood - smaller.log_likelihood - gain)
-        inexact = self.any_form.beside(smaller, TRIFLE * self.evaluator.band.scale)
+        inexact = self.any_form.beside(smaller, self.rules.trifle * self.evaluator.band.scale)
         made_up = max(0.0, inexact.log_evidence - np.log(2) - smaller.log_evidence)
         return gain - float(made_up) - _MADE_UP, penalty
 

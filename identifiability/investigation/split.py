@@ -21,8 +21,10 @@ from identifiability.measurement.prepared import Prepared, prepare
 from identifiability.measurement.splitting import hold_out
 from identifiability.measurement.trials import Trial
 
+MOST_SAMPLES = 8_192
+"""Samples of one trial or half a record that models are fitted to or judged on."""
+
 _LONGEST, _WARM_UP = 4096, 1.0  # samples of a piece; seconds in which a piece forgets its start
-_MOST = 8_192  # samples of one trial or half a record that models are fitted to or judged on
 _SHORTEST, _RATIO = 64, 1.25  # of the lengths that imposed angles are padded to
 _ROUND = 64  # lengths are padded to a multiple, so that compiled programs serve many data sets
 
@@ -163,7 +165,7 @@ def gather(
         fitted=tuple(_liveliest(p) for p in parts.fitted),
         held_out=tuple(_liveliest(p) for p in parts.held_out),
     )
-    cut = f"; of each part its liveliest {_MOST} samples" if longest > _MOST else ""
+    cut = f"; of each part its liveliest {MOST_SAMPLES} samples" if longest > MOST_SAMPLES else ""
     if not parts.held_out:
         raise InputError(
             f"found one trial, '{trials[0].name}', which moves in one half only; give several "
@@ -180,12 +182,13 @@ def gather(
 def _liveliest(prepared: Prepared) -> Prepared:
     """Of a long record as much as is fitted, where it moves most."""
     first, last = prepared.first, prepared.last
-    if last - first <= _MOST:
+    if last - first <= MOST_SAMPLES:
         return prepared
     response = prepared.response[first:last]
     energy = np.cumsum(np.square(response - response.mean()))
-    begin = first + int(np.argmax(energy[_MOST - 1 :] - np.append(0.0, energy[:-_MOST])))
-    return prepared.part(begin, begin + _MOST)
+    before = np.append(0.0, energy[:-MOST_SAMPLES])
+    begin = first + int(np.argmax(energy[MOST_SAMPLES - 1 :] - before))
+    return prepared.part(begin, begin + MOST_SAMPLES)
 
 
 def pieces(prepared: Prepared, noise: Noise) -> list[Observation]:

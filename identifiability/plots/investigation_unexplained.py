@@ -11,13 +11,13 @@ from matplotlib.colors import TwoSlopeNorm
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.patches import Patch
 
+from identifiability.inference.curvature import NORMAL_95
 from identifiability.investigation.unexplained.account import Unexplained
 from identifiability.investigation.unexplained.readouts import (
     MemoryKernel,
     MissingTorque,
     StaticMap,
 )
-from identifiability.investigation.where.drawing import INTERVAL
 from identifiability.palette import BLUE, GREY, ORANGE, PURPLE, VERMILLION
 from identifiability.plots.style import LONGEST_SHOWN, styled
 
@@ -87,8 +87,8 @@ def _kernel(axes: Axes, kernel: MemoryKernel) -> None:
     lag = 1000 * kernel.lag
     axes.fill_between(
         lag,
-        kernel.h - INTERVAL * kernel.sd,
-        kernel.h + INTERVAL * kernel.sd,
+        kernel.h - NORMAL_95 * kernel.sd,
+        kernel.h + NORMAL_95 * kernel.sd,
         color=BLUE,
         alpha=0.25,
         lw=0,
@@ -127,7 +127,7 @@ def _torques(figure: SubFigure, torques: Sequence[MissingTorque]) -> None:
         part = slice(0, int(np.searchsorted(t.time, t.time[0] + LONGEST_SHOWN)) + 1)
         time, mean, sd = t.time[part], t.mean[part], t.sd[part]
         axes.fill_between(
-            time, mean - INTERVAL * sd, mean + INTERVAL * sd, color=VERMILLION, alpha=0.25, lw=0
+            time, mean - NORMAL_95 * sd, mean + NORMAL_95 * sd, color=VERMILLION, alpha=0.25, lw=0
         )
         axes.plot(time, mean, color=VERMILLION, lw=1.2)
         axes.axhline(0, color=GREY, lw=0.8)

@@ -8,11 +8,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from identifiability.inference.curvature import NORMAL_95
 from identifiability.investigation.fits.candidate import Candidate
 from identifiability.investigation.fits.refits import NAMES, UNITS
 from identifiability.investigation.split import Split
 from identifiability.investigation.where.compare import Comparison, Constancy
-from identifiability.investigation.where.drawing import INTERVAL, label_below
+from identifiability.investigation.where.drawing import label_below
 from identifiability.investigation.where.imposed import starts
 from identifiability.investigation.where.locate import Location
 from identifiability.investigation.where.view import Panel
@@ -99,7 +100,7 @@ def _overlay(
         upper.plot(time, (measured - left)[part], color=colour, lw=width)
         lower.plot(time, (left / noise)[part], color=colour, lw=0.9)
     if noise != 1.0:
-        lower.axhspan(-INTERVAL, INTERVAL, color=GREY, alpha=0.25, lw=0, zorder=0)
+        lower.axhspan(-NORMAL_95, NORMAL_95, color=GREY, alpha=0.25, lw=0, zorder=0)
     lower.axhline(0, color=GREY, lw=0.8)
     upper.tick_params(labelbottom=False)
 
@@ -206,12 +207,12 @@ def _limits(comparison: Comparison, shown: Sequence[Constancy], i: int) -> tuple
     # At a bound of 0 the parts say how large the parameter may be.
     parts = [abs(float(group.values[i])) for constancy in shown for group in constancy.groups]
     size = abs(centre) or max(parts) or 1.0
-    spread = INTERVAL * float(comparison.overall.errors[i])
+    spread = NORMAL_95 * float(comparison.overall.errors[i])
     spread = min(spread, 2 * size) if np.isfinite(spread) else 0.0
     low, high = [centre - spread], [centre + spread]
     for constancy in shown:
         for group in constancy.groups:
-            value, error = float(group.values[i]), INTERVAL * float(group.errors[i])
+            value, error = float(group.values[i]), NORMAL_95 * float(group.errors[i])
             reach = min(error, 0.5 * size)
             if error < 2 * size:
                 low.append(value - reach)
@@ -225,10 +226,10 @@ def _estimates(panel: Axes, comparison: Comparison, constancy: Constancy, i: int
     errors = np.array([group.errors[i] for group in constancy.groups])
     place = np.arange(values.size)
     colour = VERMILLION if constancy.significant else BLUE
-    overall, spread = comparison.overall.values[i], INTERVAL * comparison.overall.errors[i]
+    overall, spread = comparison.overall.values[i], NORMAL_95 * comparison.overall.errors[i]
     panel.axhspan(overall - spread, overall + spread, color=SKY, alpha=0.3, lw=0)
     panel.axhline(overall, color=GREY, lw=1.0)
-    reach = INTERVAL * np.where(np.isfinite(errors), errors, 1e6)
+    reach = NORMAL_95 * np.where(np.isfinite(errors), errors, 1e6)
     panel.vlines(place, values - reach, values + reach, color=colour, lw=1.8)
     panel.plot(place, values, "o", color=colour)
     panel.margins(x=0.12)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -75,14 +74,6 @@ def save(figure: Figure, path: Path | str) -> Path:
     with styled(), replacing(path) as temporary:
         figure.savefig(temporary, dpi=DPI, metadata=metadata)
     return path
-
-
-def png(figure: Figure, dpi: int = 110) -> bytes:
-    """Bytes of a figure as PNG, the same for the same figure."""
-    buffer = io.BytesIO()
-    with styled():
-        figure.savefig(buffer, format="png", dpi=dpi, metadata={"Software": None})
-    return buffer.getvalue()
 
 
 def letter(axes: Axes, text: str) -> None:

@@ -6,6 +6,7 @@ import textwrap
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
+from identifiability.inference.curvature import NORMAL_95
 from identifiability.inference.widths import VERDICTS
 from identifiability.provenance import made_by
 from identifiability.report.markdown import number, percent, table, words
@@ -167,7 +168,8 @@ def _glossary(present: Sequence[str], criteria: Record) -> str:
     meanings = {
         "curved": "the error is no parabola over the width of the posterior",
         "heavy-tailed": "extreme values are likelier than the ellipse says (the 95 % interval is "
-        f"more than {criteria['heavy_tail']:g} times the 68 % one; a Gaussian's is 1.96 times)",
+        f"more than {criteria['heavy_tail']:g} times the 68 % one; a Gaussian's is "
+        f"{NORMAL_95:g} times)",
         "truncated": "a parameter's physical bound lies within reach of the data, and cuts the "
         "ellipse off",
         "non-identifiable": "the data do not bound the parameter on at least one side",

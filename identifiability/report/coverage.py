@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from identifiability.inference.curvature import NORMAL_95
 from identifiability.provenance import made_by
 from identifiability.report.markdown import percent, table
 
@@ -25,7 +26,8 @@ def coverage_page(record: Mapping[str, Any]) -> str:
         "and I, at 100 to 1,000 Hz, half of them six short trials, half one record of 8 s, fitted\n"
         "as `identifiability fit` does. Noise is in the response, 1 to 5 % of its scatter;\n"
         "*encoder* rounds the angle to 1/400 of its stroke; *both channels* adds white noise to\n"
-        "what was imposed too. Intervals are 1.96 stated standard deviations to either side.",
+        f"what was imposed too. Intervals are {NORMAL_95:g} stated standard deviations to either "
+        "side.",
         f"{len(inside)} of {len(rows)} rows lie within {percent(low)} to {percent(high)}; "
         f"{len(off)} lie outside by more than chance\nexplains (Wilson's 95 % interval of the "
         f"coverage does not reach the range). {failed} fits failed.",

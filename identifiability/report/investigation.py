@@ -33,7 +33,7 @@ from identifiability.plots.investigation_where import (
     responses_figure,
     where_figure,
 )
-from identifiability.plots.style import png, save
+from identifiability.plots.style import save
 from identifiability.report.page import Page
 
 _ROWS = 6  # sets listed in the terminal, at most
@@ -55,9 +55,9 @@ class _Figures:
         except (ValueError, ArithmeticError, IndexError, KeyError) as error:
             self.page.paragraph(f"(This figure could not be drawn: {error}.)")
             return
-        save(figure, self.out / f"{name}.png")
-        self.written.append(f"{name}.png")
-        self.page.figure(png(figure), caption, alt=caption)
+        drawn = save(figure, self.out / f"{name}.png")
+        self.written.append(drawn.name)
+        self.page.figure(drawn.read_bytes(), caption, alt=caption)
 
 
 def write_investigation(findings: Findings, out: Path, *, command: str) -> list[str]:

@@ -12,6 +12,7 @@ import scipy.stats
 import xarray as xr
 
 from identifiability.inference.convergence import ESS_LIMIT, RHAT_LIMIT
+from identifiability.inference.curvature import NORMAL_95
 from identifiability.inference.widths import (
     END_TOLERANCE,
     HEAVY_TAIL,
@@ -199,7 +200,7 @@ def _shift(part: xr.Dataset) -> np.ndarray:
     """Largest distance of an end of a 95 % interval from the Gaussian's, in widths; shape (n,)."""
     signs = xr.DataArray([-1.0, 1.0], dims="side")
     ends = (part["posterior_95"] - part["optimum"]) / part["quadratic"]
-    return abs(ends - 1.96 * signs).max(["parameter", "side"], skipna=False).values
+    return abs(ends - NORMAL_95 * signs).max(["parameter", "side"], skipna=False).values
 
 
 def _causes(part: xr.Dataset) -> Record:

@@ -19,7 +19,7 @@ from identifiability.errors import InputError
 from identifiability.inference.problem import Observation, Prior, Problem
 from identifiability.inference.starts import plain_values
 from identifiability.investigation.posterior import between
-from identifiability.investigation.split import owners, pieces, roomy
+from identifiability.investigation.split import MOST_SAMPLES, owners, pieces, roomy
 from identifiability.joint.model import Model
 from identifiability.joint.scheme import Scheme
 from identifiability.measurement.filtering import (
@@ -39,7 +39,6 @@ _HALF_BAND = signal.firwin(23, 0.5)
 _ENOUGH = 3.9  # samples a cycle of the cut-off, of which every other one is enough
 _SAME_RATE = 1e-3
 _AROUND, _STANDS = 5, 0.6  # samples; steps: a filter makes less of one
-_MOST = 8_192  # samples that are compared; of more, parts all over the record
 _CLEAR = 10.0  # times the noise that the motion is, up to the cut-off
 
 
@@ -135,7 +134,7 @@ class Band:
 
     def _pieces(self, prepared: Sequence[Prepared]) -> list[tuple[Observation, slice]]:
         """Trials in pieces with their places, of long records as many as are compared."""
-        share = min(1.0, _MOST / self.n_recorded)
+        share = min(1.0, MOST_SAMPLES / self.n_recorded)
         out: list[tuple[Observation, slice]] = []
         for p in prepared:
             every = pieces(p, Noise(1.0))

@@ -12,7 +12,8 @@ from identifiability.investigation.posterior.evidence import Evaluated, Evaluato
 from identifiability.investigation.posterior.kept import Evaluations
 from identifiability.investigation.posterior.probabilities import Probabilities
 from identifiability.investigation.posterior.signatures import strongest
-from identifiability.investigation.posterior.weighing import Job, Keys, Weighing
+from identifiability.investigation.posterior.weighing import LOST, Job, Keys, Weighing
+from identifiability.investigation.rules import Rules
 from identifiability.joint.effects import Effect
 from identifiability.progress import Progress, silent
 
@@ -23,7 +24,7 @@ _REFINED = 3  # sets of one size that are refined, at most
 _WORTH_REFINING = 3.0  # nats before K, B and I alone
 # Nats, or the share of what the best of its size gained, from which a set behind it is not refined:
 # where noise is low, a plain form may leave much of what its richer one explains.
-_BEHIND, _BEHIND_SHARE = 60.0, 0.5
+_BEHIND_SHARE = 0.5
 _NEAR = 12.0  # nats behind the best of its size, within which another set is enlarged too
 _EXCHANGED = 2  # effects up to which each is tried without the one that was found before it
 _POOR = 0.1  # share of what a set gained, that one effect more gains, if it was a poor picture
@@ -36,6 +37,7 @@ def weigh(
     most: int,
     progress: Progress = silent,
     kept: Evaluations | None = None,
+    rules: Rules | None = None,
 ) -> Probabilities:
     """Weigh the sets of effects that may be missing.
 
@@ -59,13 +61,15 @@ def weigh(
         Told ``(what, done, total)``.
     kept : Evaluations, optional
         Where models that were weighed before are taken from.
+    rules : Rules, optional
+        Conventions; the package's own by default.
 
     Raises
     ------
     InputError
         Where the model to start from cannot be evaluated.
     """
-    weighing = Weighing(evaluator, library, baseline.keys, progress, kept)
+    weighing = Weighing(evaluator, library, baseline.keys, rules or Rules(), progress, kept)
     search = _Search(weighing, library, progress)
     search.add("K, B and I", [Job(baseline.model, [baseline.values], baseline.refined)])
     if () not in weighing.found:
@@ -153,7 +157,7 @@ class _Search:
         jobs: list[Job] = []
         for keys in ranked:
             behind = self.plain[ranked[0]] - self.plain[keys]
-            most = max(_BEHIND, _BEHIND_SHARE * (self.plain[ranked[0]] - self.plain[()]))
+            most = max(LOST, _BEHIND_SHARE * (self.plain[ranked[0]] - self.plain[()]))
             gain = found[keys].log_evidence - found[()].log_evidence
             if keys in self.refined or behind > most or gain < _WORTH_REFINING:
                 continue

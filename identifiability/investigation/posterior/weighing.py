@@ -32,6 +32,7 @@ from identifiability.investigation.posterior.probabilities import (
     SetProbability,
     WeighedSet,
 )
+from identifiability.investigation.rules import Rules
 from identifiability.joint.effects import DESCRIPTIONS
 from identifiability.joint.model import Model
 from identifiability.joint.programs import THREADS
@@ -40,14 +41,12 @@ from identifiability.progress import Progress, silent
 Keys = tuple[str, ...]
 _Task = TypeVar("_Task")
 
-TRIFLE = 3e-3
-"""Share of the response that is nothing unknown: instruments are linear to so much."""
+LOST = 60.0
+"""Log evidence [nats] behind the best from which a set is not fitted any further."""
 
-_FORM = 0.1  # share of what its effects do, that a model's equations may be wrong by
 _CONTENDS = 12.0  # nats that a set may be behind, for a discrepancy to be put beside it
 _MOST_BESIDE, _BEST_OF_SIZE = 6, 2
 _MOST_ROUNDS = 4  # in which sets are given what the likeliest has
-_LOST = 60.0  # nats behind the best from which a set is not fitted any further
 _FAR = 0.05  # share of what the best of its size gained, that a set may lack
 _SURE = 3.0  # nats by which values that no joint has must be better, to count
 _DRIFT = "sensor_drift"  # the effect that a discrepancy of the kind "drift" is
@@ -108,6 +107,8 @@ class Weighing:
         Keys of the effects that could be tried.
     base : tuple of str
         Effects of the model that the search starts from: they are no findings.
+    rules : Rules
+        Conventions.
     progress : callable
         Told ``(what, done, total)``.
     kept : Evaluations
@@ -124,6 +125,7 @@ class Weighing:
     evaluator: Evaluator
     library: Collection[str]
     base: Keys = ()
+    rules: Rules = field(default_factory=Rules)
     progress: Progress = silent
     kept: Evaluations | None = None
     found: dict[Keys, Evaluated] = field(default_factory=dict)
@@ -149,7 +151,7 @@ class Weighing:
                 job.starts,
                 refined=job.refined,
                 noise=job.noise,
-                least=best - _LOST,
+                least=best - LOST,
                 resolved=False,
             )
 
@@ -162,13 +164,17 @@ class Weighing:
         if isinstance(found, str):
             self.failures["+".join(keys)] = found
             return
-        # Where an imposed angle moves the joint, parameters may lie anywhere on a ridge.
-        if not self.evaluator.band.angle_imposed and (why := model.objection(found.values)):
+        if why := self._objection(found):
             self.failures["+".join(keys)] = why
             return
         known = self.found.get(keys)
         if known is None or found.log_evidence > known.log_evidence:
             self.found[keys] = found
+
+    def _objection(self, found: Evaluated) -> str:
+        """What speaks against values that were found; nothing where any will do."""
+        # Where an imposed angle moves the joint, parameters may lie anywhere on a ridge.
+        return "" if self.evaluator.band.angle_imposed else found.model.objection(found.values)
 
     def take_up(self, sets: Sequence[Keys]) -> None:
         """Evaluate sets further, from where their fits ended, in steps that are short enough."""
@@ -189,6 +195,8 @@ class Weighing:
             self.progress("weighing the most probable sets further", i + 1, len(sets))
             if isinstance(found, str):
                 self.failures["+".join(keys)] = found
+            elif why := self._objection(found):
+                self.failures["+".join(keys)] = why
             # In steps that were too long a model may have seemed better than it is.
             elif found.scheme != known.scheme or found.log_evidence > known.log_evidence:
                 self.found[keys] = found
@@ -220,7 +228,7 @@ class Weighing:
         Its noise to seek theirs from, and the richer forms of the effects that they have as well:
         sets are not to be told apart by what was tried with one and not with the other.
         """
-        near = self._within(_LOST)
+        near = self._within(LOST)
         lead = self.found[max(near, key=lambda keys: self.found[keys].log_likelihood)]
         noise = lead.weights.contenders[0]
         others = [keys for keys in near if self.found[keys] is not lead]
@@ -237,8 +245,8 @@ class Weighing:
                     scheme=known.scheme,
                     noise=lead.weights,
                 )
-                if richer.log_evidence > known.log_evidence:
-                    known = richer
+                better = richer.log_evidence > known.log_evidence
+                known = richer if better and not self._objection(richer) else known
             return self.evaluator.reweighed(known, noise)
 
         better = False
@@ -289,7 +297,7 @@ class Weighing:
         """Whether a set leaves so much more than the best of its size that it cannot pass it."""
         top = self.found[best].log_evidence
         gained = top - self.found[()].log_evidence
-        return top - self.found[keys].log_evidence > max(_LOST, _FAR * gained)
+        return top - self.found[keys].log_evidence > max(LOST, _FAR * gained)
 
     def log_prior(self, n_effects: int) -> float:
         """Of one set of so many effects, the unknown counted as one of the library."""
@@ -380,7 +388,7 @@ class Weighing:
     def _tolerated(self, keys: Keys) -> float:
         """Discrepancy, over the response, that inexact equations of a set may leave."""
         explained = self._explained(self.found[keys]) / self.evaluator.band.scale
-        return max(_FORM * explained, TRIFLE)
+        return max(self.rules.equations * explained, self.rules.trifle)
 
     def _rows(self, named: Mapping[Keys, float], forms: _Forms) -> tuple[SetProbability, ...]:
         """Probabilities from their logarithms, which lack a constant."""
@@ -408,8 +416,8 @@ class Weighing:
     def _named(self, inexact: Mapping[Keys, float]) -> dict[Keys, float]:
         """Log of what is proportional to the probability of each set, its equations exact or not.
 
-        Equations that are wrong by so little as `_FORM` may be mended by an effect that is not
-        there: then a set and the same with that effect are both what the data would look like.
+        Equations that are wrong by as little as the rules allow may be mended by an effect that is
+        not there: then a set and the same with that effect are both what the data would look like.
         """
         every = len(self.library) + 1
         found: dict[Keys, float] = {}
@@ -426,7 +434,7 @@ class Weighing:
     def mends(self, keys: Keys, more: Keys) -> bool:
         """Whether one effect more does no more than the error of a set's equations may be."""
         fewer, richer = self.found[keys], self.found[more]
-        return _moved(fewer, richer) <= _FORM * self._explained(fewer)
+        return _moved(fewer, richer) <= self.rules.equations * self._explained(fewer)
 
     def _explained(self, found: Evaluated) -> float:
         """What effects explain: root mean square by which the prediction moves because of them.

@@ -12,8 +12,6 @@ from identifiability.palette import BLUE, GREY
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-INTERVAL = 1.96
-"""Standard errors of a 95 % interval of a Gaussian."""
 MOST_LABELS = 12
 """Values that are written beside as many bars; twice as many names fit below them."""
 _LOGARITHMIC = 5.0  # ratio from which an axis is

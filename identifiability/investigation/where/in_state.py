@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import numpy as np
 from scipy import linalg, signal, stats
 
-from identifiability.investigation.where.drawing import INTERVAL, points
+from identifiability.inference.curvature import NORMAL_95
+from identifiability.investigation.where.drawing import points
 from identifiability.investigation.where.numerals import probability
 from identifiability.investigation.where.scene import Scene
 from identifiability.investigation.where.view import Panel, View
@@ -156,7 +157,7 @@ class StateView(View):
 def _draw(curve: Curve, what: str, explains: bool, panel: Axes) -> None:
     panel.axhline(0, color=GREY, lw=0.8)
     panel.errorbar(
-        curve.at, curve.torque, INTERVAL * curve.errors, color=BLUE, lw=1.4, elinewidth=1.2
+        curve.at, curve.torque, NORMAL_95 * curve.errors, color=BLUE, lw=1.4, elinewidth=1.2
     )
     points(panel, curve.at, curve.torque, curve.flags)
     panel.set_xlabel(what)
