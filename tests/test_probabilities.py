@@ -668,7 +668,20 @@ class Pretended:
 
 def evaluated_as(value, model, values, refined=()):
     return Evaluated(
-        model, values, refined, None, np.zeros(3), None, value, value, None, None, None, None, []
+        None,
+        model,
+        values,
+        refined,
+        None,
+        np.zeros(3),
+        None,
+        value,
+        value,
+        None,
+        None,
+        None,
+        None,
+        [],
     )
 
 

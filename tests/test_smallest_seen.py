@@ -12,7 +12,7 @@ from identifiability.investigation.smallest_seen import _Hidden
 from identifiability.joint.effects import EFFECTS
 from identifiability.joint.model import KBI
 
-QUICK = [("series_tendon", "torque"), ("quadratic_stiffness", "angle")]
+QUICK = [("series_tendon", "torque"), ("short_range_stiffness", "angle")]
 
 
 def study_of(model, values, seed, library, driven="torque"):

@@ -152,10 +152,9 @@ class _Beside:
         """The model with the discrepancy of highest evidence, from some noise on."""
         evaluator, band = self.evaluator, self.evaluator.band
         sizes = np.minimum(_FIRST * band.scale, self.caps)
-        problem = evaluator.problem_of(found)
         here, best = found, None
         if weights is not found.weights:
-            here = evaluator.evaluated(problem, found.x, weights, found.refined)
+            here = evaluator.evaluated(found.problem, found.x, weights, found.refined)
         tried = (*evaluator.orders, *weights.contenders[:1])
         for _ in range(_ROUNDS):
             white = here.weights.whitened(self._all)
@@ -194,7 +193,7 @@ class _Beside:
             raw = self._freed(here, inner, sizes, [columns @ mean for columns in self._all])
             weights = evaluator.reference.weights(raw, tried)
             tried = weights.contenders[:1]
-            here = evaluator.evaluated(problem, found.x, weights, found.refined)
+            here = evaluator.evaluated(found.problem, found.x, weights, found.refined)
         assert best is not None
         return best
 

@@ -104,6 +104,8 @@ class Evaluated:
 
     Attributes
     ----------
+    problem : Problem
+        That it was fitted in.
     model : Model
     values : dict of str to float
         Of all parameters, by name.
@@ -133,6 +135,7 @@ class Evaluated:
         Orders among which its noise was sought.
     """
 
+    problem: Problem
     model: Model
     values: dict[str, float]
     refined: tuple[str, ...]
@@ -301,23 +304,16 @@ class Evaluator:
         assert best is not None
         return best
 
-    def problem_of(self, found: Evaluated) -> Problem:
-        """Problem that a model was fitted in."""
-        return self.band.problem(
-            found.model, refined=found.refined, scheme=found.scheme, probes=self.reference.probes
-        )
-
     def reweighed(self, found: Evaluated, contender: Contender) -> Evaluated:
         """A model with its noise sought from another's, where that is better.
 
         Two that leave the same must not be told apart by where the noise of each was sought from.
         """
-        problem = self.problem_of(found)
         weights = self.reference.weights(found.raw, [contender])
-        here = self.evaluated(problem, found.x, weights, found.refined, [contender])
+        here = self.evaluated(found.problem, found.x, weights, found.refined, [contender])
         if not here.log_evidence > found.log_evidence:
             return found
-        moved = self.settled(problem, found.x[None], weights, found.refined)
+        moved = self.settled(found.problem, found.x[None], weights, found.refined)
         return max(here, moved, key=lambda one: one.log_evidence)
 
     @property
@@ -371,6 +367,7 @@ class Evaluator:
         directions = jacobian @ turns
         own = directions.T @ directions + np.diag([priors[i].sd ** -2 for i in inside])
         return Evaluated(
+            problem,
             problem.model,
             dict(zip(problem.model.parameter_names, map(float, problem.complete(x)), strict=True)),
             tuple(refined),
