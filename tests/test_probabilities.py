@@ -667,21 +667,9 @@ class Pretended:
 
 
 def evaluated_as(value, model, values, refined=()):
+    problem = SimpleNamespace(model=model, integration=None)
     return Evaluated(
-        None,
-        model,
-        values,
-        refined,
-        None,
-        np.zeros(3),
-        None,
-        value,
-        value,
-        None,
-        None,
-        None,
-        None,
-        [],
+        problem, values, refined, np.zeros(3), None, value, value, None, None, None, None, []
     )
 
 

@@ -106,11 +106,9 @@ class Evaluated:
     ----------
     problem : Problem
         That it was fitted in.
-    model : Model
     values : dict of str to float
         Of all parameters, by name.
     refined : tuple of str
-    scheme : Scheme or None
     x : array, shape (n_free,)
     weights : Weights
     log_evidence : float
@@ -136,10 +134,8 @@ class Evaluated:
     """
 
     problem: Problem
-    model: Model
     values: dict[str, float]
     refined: tuple[str, ...]
-    scheme: Scheme | None
     x: np.ndarray
     weights: Weights
     log_evidence: float
@@ -152,6 +148,16 @@ class Evaluated:
     probes: Sequence[np.ndarray] = ()
     beyond: float = 0.0
     sought: Sequence[Contender] = ()
+
+    @property
+    def model(self) -> Model:
+        """Its problem's."""
+        return self.problem.model
+
+    @property
+    def scheme(self) -> Scheme:
+        """How its response was computed."""
+        return self.problem.integration
 
     @property
     def joint_sd(self) -> np.ndarray:
@@ -368,10 +374,8 @@ class Evaluator:
         own = directions.T @ directions + np.diag([priors[i].sd ** -2 for i in inside])
         return Evaluated(
             problem,
-            problem.model,
             dict(zip(problem.model.parameter_names, map(float, problem.complete(x)), strict=True)),
             tuple(refined),
-            problem.integration,
             x,
             weights,
             float(log_evidence),

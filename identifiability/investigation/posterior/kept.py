@@ -77,9 +77,11 @@ class Evaluations:
         self, model: Model, refined: Sequence[str], stored: Mapping[str, np.ndarray]
     ) -> Evaluated:
         evaluator, plain = self.evaluator, json.loads(str(stored["evaluated"]))
-        scheme = None if plain["scheme"] is None else Scheme(**plain["scheme"])
         problem = evaluator.band.problem(
-            model, refined=refined, scheme=scheme, probes=evaluator.reference.probes
+            model,
+            refined=refined,
+            scheme=Scheme(**plain["scheme"]),
+            probes=evaluator.reference.probes,
         )
         sought = [Contender(Order(*order), np.array(v, float)) for order, v in plain["sought"]]
         raw = raw_residuals(problem, evaluator.band, stored["x"])[0]
@@ -89,7 +91,7 @@ class Evaluations:
 
 def _stored(found: Evaluated) -> dict[str, np.ndarray]:
     plain = {
-        "scheme": None if found.scheme is None else asdict(found.scheme),
+        "scheme": asdict(found.scheme),
         "sought": [
             [[o.p, o.q, bool(o.carried)], np.asarray(values, float).tolist()]
             for o, values in found.sought
