@@ -25,7 +25,7 @@ settings.load_profile("repeatable")
 
 def pytest_collection_modifyitems(config, items):
     """Skip tests that take minutes unless they are asked for."""
-    for apart in ("long", "recordings"):
+    for apart in ("long", "recordings", "notebooks"):
         if apart in config.getoption("markexpr"):
             continue
         skip = pytest.mark.skip(reason=f"takes minutes; run it with -m {apart}")
