@@ -57,7 +57,7 @@ def test_an_error_of_integration_is_no_trace():
     plain = evaluator.evaluate(KBI(), [study.baseline.values])
     any_form = discrepancy_of(evaluator, plain)
     hidden = _Hidden(
-        evaluator, plain, any_form, KBI() + EFFECTS[key](), key, 0.0, Rules(bad_luck=0.0)
+        evaluator, plain, any_form, KBI() + EFFECTS[key](), key, 0.0, Rules(bad_luck=0.0), 1
     )
     gain, _ = hidden.gained(1 / 20e3)
     assert gain < 1

@@ -207,13 +207,25 @@ class Investigation:
 
     @_one_thread
     def smallest_seen(self, candidate: Candidate, *, seed: int = 1) -> tuple[Detectable, ...]:
-        """Smallest effects that would have been seen beside a fitted model."""
+        """Smallest effects that would have been seen beside a fitted model.
+
+        Parameters
+        ----------
+        candidate : Candidate
+        seed : int
+            Of draws of the noise, and of the probes by which that of an imposed angle is taken off.
+        """
         evaluator = self._evaluator(seed)
         without = evaluator.evaluate(
             candidate.model, [candidate.values], refined=candidate.refined, scheme=candidate.scheme
         )
         return detectable(
-            evaluator, without, self.library, self.bench.rules, progress=self.progress
+            evaluator,
+            without,
+            self.library,
+            self.bench.rules,
+            seed=seed,
+            progress=self.progress,
         )
 
     def claim(self, posterior: Probabilities) -> Claim:

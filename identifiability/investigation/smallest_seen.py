@@ -2,12 +2,13 @@
 
 At a candidate size the trials are what was recorded and what the effect would have changed, and
 both models are weighed on them as they were on the recording. What the size must be for the effect
-to be claimed, with bad luck, is found by halving a bracket.
+to be claimed, with bad luck, is found by halving a bracket, then from draws of the noise that was
+estimated.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -20,6 +21,7 @@ from identifiability.inference.problem import Problem
 from identifiability.inference.starts import starting_values
 from identifiability.investigation.posterior.discrepancy import Discrepancy, discrepancy_of
 from identifiability.investigation.posterior.evidence import Evaluated, Evaluator
+from identifiability.investigation.posterior.noises import raw_residuals
 from identifiability.investigation.rules import Rules
 from identifiability.joint.effects.base import Effect
 from identifiability.joint.model import Model
@@ -27,10 +29,11 @@ from identifiability.joint.programs import THREADS
 from identifiability.progress import Progress, silent
 
 _FIRST = 0.01  # share of the nominal size that the bracket is looked for from
-_STRIDE, _CLOSE = 8.0, 1.2  # largest step of that, and ratio of the bracket's ends at its end
+_STRIDE = 8.0  # largest step of that
+_ABOUT, _CLOSE = 1.6, 1.1  # ratio of the bracket's ends, and of the sizes of the last two turns
+_DRAWS, _TURNS = 4, 3  # of the noise, about the size that was found in what was recorded
 _MOST = 12  # sizes that are tried
 _SMALLEST = 1e-6  # share of the nominal size that is none
-_MADE_UP = 3.0  # nats by which a draw of the noise may help a torque of any form to make up for it
 _SOLVER_SHARE = 0.01  # of a trace's square that the error of its integration may have
 
 
@@ -66,6 +69,7 @@ def detectable(
     library: Mapping[str, type[Effect]],
     rules: Rules,
     *,
+    seed: int,
     progress: Progress = silent,
 ) -> tuple[Detectable, ...]:
     r"""Smallest effects that would have been seen beside a model that was weighed.
@@ -86,6 +90,8 @@ def detectable(
         The model in which nothing was found missing.
     library : mapping of str to type of Effect
     rules : Rules
+    seed : int
+        Of draws of the noise.
     progress : callable
         Told ``(what, done, total)``.
     """
@@ -99,7 +105,7 @@ def detectable(
             model = without.model + kind()
         except InputError:  # it does not go with an effect that is there
             continue
-        hidden.append(_Hidden(evaluator, without, any_form, model, key, odds, rules))
+        hidden.append(_Hidden(evaluator, without, any_form, model, key, odds, rules, seed))
     found: list[Detectable] = []
     with ThreadPoolExecutor(THREADS) as pool:
         for i, one in enumerate(pool.map(_Hidden.smallest, hidden)):
@@ -126,6 +132,8 @@ class _Hidden:
     odds : float
         Log evidence [nats] that its prior asks for.
     rules : Rules
+    seed : int
+        Of draws of the noise.
     """
 
     evaluator: Evaluator
@@ -135,6 +143,7 @@ class _Hidden:
     key: str
     odds: float
     rules: Rules
+    seed: int
 
     @cached_property
     def sizes(self) -> list[str]:
@@ -165,44 +174,66 @@ class _Hidden:
         finite = np.isfinite(p.null)
         nominal = p.nominal - p.null if finite else 1 / p.nominal
         most = p.upper - p.null if finite else 1 / max(p.lower, 1e-9)
-        low, high, strength = 0.0, np.inf, _FIRST * nominal
+        found = self._bracketed(_FIRST * nominal, _SMALLEST * nominal, most)
+        if found is None:
+            return None
+        for _ in range(_TURNS):
+            # What chance does to a trace in one draw of the noise is as large as what is sought.
+            short_of = self.short_of(found, range(1, 1 + _DRAWS))
+            if short_of is None or (short_of > 1 and found >= most):
+                return None
+            found = min(found * float(np.clip(short_of, 1 / _STRIDE, _STRIDE)), most)
+            if 1 / _CLOSE < short_of < _CLOSE:
+                break
+        values = self.values(found)
+        size = values[self.sizes[0]]
+        words = f"{p.description} {'of' if finite else 'up to'} {size:.2g} {p.unit}"
+        return Detectable(self.key, self.sizes[0], size, p.unit, words, values)
+
+    def _bracketed(self, strength: float, least: float, most: float) -> float | None:
+        """About the smallest strength at which it is seen in the noise that was recorded."""
+        low, high = 0.0, np.inf
         for _ in range(_MOST):
-            short_of = self.short_of(strength)
+            short_of = self.short_of(strength, (0,))
             if short_of is None:  # the response has no bounds: no joint has an effect of that size
                 return None
             if short_of <= 1:
                 high = strength
             else:
                 low = strength
-            if low >= most or high < _SMALLEST * nominal:
+            if low >= most or high < least:
                 return None
-            if high <= _CLOSE * low:
+            if high <= _ABOUT * low:
                 break
             # Evidence grows with the square of the strength, or less where noise can be its colour.
             strength *= float(np.clip(short_of, 1 / _STRIDE, _STRIDE))
-            if low > 0 and np.isfinite(high) and not low * _CLOSE < strength < high / _CLOSE:
+            if low > 0 and np.isfinite(high) and not low * _ABOUT < strength < high / _ABOUT:
                 strength = float(np.sqrt(low * high))
-            strength = min(max(strength, _CLOSE * low), most)
-        if not np.isfinite(high):
-            return None
-        values = self.values(high)
-        size = values[self.sizes[0]]
-        words = f"{p.description} {'of' if finite else 'up to'} {size:.2g} {p.unit}"
-        return Detectable(self.key, self.sizes[0], size, p.unit, words, values)
+            strength = min(max(strength, _ABOUT * low), most)
+        return high if np.isfinite(high) else None
 
-    def short_of(self, strength: float) -> float | None:
-        """About how many times stronger the effect would have to be to be seen."""
-        gained = self.gained(strength)
-        if gained is None:
-            return None
-        gain, penalty = gained
-        needed = np.sqrt(2 * (self.odds + penalty)) + self.rules.bad_luck
-        return float(needed / np.sqrt(max(2 * (gain + penalty), 1e-2)))
+    def short_of(self, strength: float, draws: Sequence[int]) -> float | None:
+        """About how many times stronger the effect would have to be to be seen.
 
-    def gained(self, strength: float) -> tuple[float, float] | None:
-        """Log evidence of the effect at a strength, and how much of its likelihood priors took."""
+        The median of draws of the noise.
+        """
+        short = []
+        for draw in draws:
+            gained = self.gained(strength, draw)
+            if gained is None:
+                return None
+            gain, penalty = gained
+            needed = np.sqrt(2 * (self.odds + penalty)) + self.rules.bad_luck
+            short.append(needed / np.sqrt(max(2 * (gain + penalty), 1e-2)))
+        return float(np.median(short))
+
+    def gained(self, strength: float, draw: int = 0) -> tuple[float, float] | None:
+        """Log evidence of the effect at a strength, and how much of its likelihood priors took.
+
+        In a draw of the noise, of which number 0 is the one that was recorded.
+        """
         values = self.values(strength)
-        recorded = self._recorded(values)
+        recorded = self._recorded(values, draw)
         if recorded is None:
             return None
         without, changed = recorded
@@ -210,8 +241,11 @@ class _Hidden:
         points = inside(without, np.array(self._starts(values, without)))
         tried = own.contenders
         try:
-            smaller = self.evaluator.settled(without, points, own, known.refined, also=tried)
             x = changed.free_vector(values)
+            if draw:
+                raw, _ = raw_residuals(changed, self.evaluator.band, x)
+                own = self.evaluator.reference.weights(raw, tried)
+            smaller = self.evaluator.settled(without, points, own, known.refined, also=tried)
             larger = self.evaluator.evaluated(changed, x, own, known.refined, tried)
         except (ValueError, np.linalg.LinAlgError):
             return None
@@ -219,7 +253,7 @@ class _Hidden:
         penalty = max(0.0, larger.log_likelihood - smaller.log_likelihood - gain)
         inexact = self.any_form.beside(smaller, self.rules.trifle * self.evaluator.band.scale)
         made_up = max(0.0, inexact.log_evidence - np.log(2) - smaller.log_evidence)
-        return gain - float(made_up) - _MADE_UP, penalty
+        return gain - float(made_up), penalty
 
     @cached_property
     def _problems(self) -> tuple[Problem, Problem]:
@@ -231,7 +265,7 @@ class _Hidden:
             band.problem(self.model, refined=known.refined, probes=probes),
         )
 
-    def _recorded(self, values: Mapping[str, float]) -> tuple[Problem, Problem] | None:
+    def _recorded(self, values: Mapping[str, float], draw: int) -> tuple[Problem, Problem] | None:
         """Problems of both models, of what would have been recorded; None if it has no bounds."""
         plain, having = self._problems
         having = having.with_scheme(having.suited(self.model.vector(values)))
@@ -252,11 +286,31 @@ class _Hidden:
                 return None
             having = having.with_scheme(having.integration.improved(error))
         rows = plain.by_observation(after - before)
+        if draw:
+            rows += self._exchanged(plain.by_observation(before), draw)
         observations = [
             replace(o, measured=o.measured + row[: o.measured.size])
             for o, row in zip(plain.observations, rows, strict=False)
         ]
         return replace(plain, observations=observations), replace(having, observations=observations)
+
+    def _exchanged(self, left: np.ndarray, draw: int) -> np.ndarray:
+        """What a draw of the noise adds to the recorded noise's place, by observation and sample.
+
+        Parameters
+        ----------
+        left : array, shape (n_observations, n)
+            Model minus measurement.
+        draw : int
+            Number of the draw.
+        """
+        band = self.evaluator.band
+        added = np.zeros_like(left)
+        drawn = self.without.weights.draw(np.random.default_rng([self.seed, draw]))
+        for i, (chosen, noise) in enumerate(zip(band.samples, drawn, strict=True)):
+            # Probes, which come after the trials, have the same noise.
+            added[i :: len(drawn)][:, chosen] = left[i, chosen] + noise
+        return added
 
     def _starts(self, values: Mapping[str, float], problem: Problem) -> list[np.ndarray]:
         """Points to fit the model without the effect from.

@@ -109,6 +109,17 @@ class Weights:
             total += 2 * np.log(length)
         return float(total)
 
+    def draw(self, generator: np.random.Generator) -> list[np.ndarray]:
+        """Draw such noise [rad or Nm] for each stretch."""
+        out = []
+        for i, (chosen, trial) in enumerate(zip(self.band.samples, self.band.trial, strict=True)):
+            parts = [part.draw(chosen.size, generator) for part in self.estimate.noise.parts]
+            noise = self.estimate.levels[trial] * np.sum(parts, axis=0)
+            if self.between:
+                noise += np.sqrt(self.between[i]) * generator.standard_normal(chosen.size)
+            out.append(noise)
+        return out
+
     def freed(self, by_stretch: Sequence[np.ndarray]) -> list[np.ndarray]:
         """Residuals without what is expected to be what is not known between the samples."""
         out = []
