@@ -114,6 +114,13 @@ def investigate(
             found = study.climb(posterior) if posterior else Found.nothing(first)
             if found.failure:
                 failures["error ladder"] = found.failure
+        nested = None
+        if posterior is not None and study.claim(posterior).kind == "effects":
+            with timed("choice without what is held out"):
+                nested = attempt(
+                    "choice without what is held out",
+                    lambda: study.weigh_nested(posterior, seed=seed),
+                )
         final = found.final
         widths = None
         if with_widths:
@@ -133,7 +140,7 @@ def investigate(
                 )
         verdict = UNDECIDED
         if posterior is not None:
-            verdict = study.judge(posterior, found, after, seen or ())
+            verdict = study.judge(posterior, found, after, seen or (), nested)
         progress("the next experiment", 0, 1)
         with timed("next experiment"):
             following = attempt(

@@ -29,6 +29,7 @@ from identifiability.investigation.posterior.band import band_of
 from identifiability.investigation.posterior.claim import Claim, claim_of
 from identifiability.investigation.posterior.evidence import Evaluator, evaluator_of
 from identifiability.investigation.posterior.kept import Evaluations
+from identifiability.investigation.posterior.nested import weigh_nested
 from identifiability.investigation.posterior.probabilities import Probabilities
 from identifiability.investigation.posterior.search import weigh
 from identifiability.investigation.rules import Rules
@@ -173,10 +174,7 @@ class Investigation:
             Where the trials' rates are no multiples of the lowest.
         """
         number = self.bench.rules.most_effects if most is None else most
-        folder = self.bench.kept.folder if isinstance(self.bench.kept, OnDisk) else None
-        lowpass_hz = self._recorded[2]
-        identity = fingerprint(self.bench.identity, self.baseline.values, lowpass_hz, seed)
-        kept = Evaluations(self._evaluator(seed), folder, identity)
+        kept = self._evaluations(self._evaluator(seed), seed, "all")
         return weigh(
             kept.evaluator,
             self.baseline,
@@ -186,6 +184,31 @@ class Investigation:
             kept,
             self.bench.rules,
         )
+
+    @_one_thread
+    def weigh_nested(self, posterior: Probabilities, *, seed: int = 1) -> Probabilities:
+        """Weigh the sets that came near again, without the held-out trials.
+
+        Parameters
+        ----------
+        posterior : Probabilities
+            By all trials.
+        seed : int
+            See `weigh`.
+        """
+        split = self.split
+        band = self._evaluator(seed).band.without(split.held_out_rule, split.held_out_numbers)
+        evaluator = evaluator_of(band, self.baseline.values, seed=seed)
+        kept = self._evaluations(evaluator, seed, "without what is held out")
+        return weigh_nested(
+            kept, self.baseline, self.library, posterior, self.bench.rules, self.progress
+        )
+
+    def _evaluations(self, evaluator: Evaluator, seed: int, part: str) -> Evaluations:
+        """What evaluates models, and keeps them where every fit is kept."""
+        folder = self.bench.kept.folder if isinstance(self.bench.kept, OnDisk) else None
+        known = self.bench.identity, self.baseline.values, self._recorded[2], seed, part
+        return Evaluations(evaluator, folder, fingerprint(*known))
 
     def _evaluator(self, seed: int) -> Evaluator:
         """What weighs models of these trials, made once."""
@@ -245,10 +268,14 @@ class Investigation:
         found: Found,
         rest: Unexplained,
         smallest_seen: Sequence[Detectable] = (),
+        nested: Probabilities | None = None,
     ) -> Verdict:
-        """What the probabilities, the error ladder and an account of what is left allow to say."""
+        """What the probabilities, the error ladder and an account of what is left allow to say.
+
+        And, where something is claimed, what the trials that are not held out say alone: `nested`.
+        """
         claim = self.claim(posterior)
-        return judge(self.split, posterior, claim, found, rest, smallest_seen, self.library)
+        return judge(self.split, posterior, claim, found, rest, smallest_seen, self.library, nested)
 
     def next_experiment(
         self,

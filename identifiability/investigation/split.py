@@ -18,7 +18,7 @@ from identifiability.investigation.rules import Rules
 from identifiability.measurement.filtering import Lowpass
 from identifiability.measurement.noise import Noise
 from identifiability.measurement.prepared import Prepared, prepare
-from identifiability.measurement.splitting import hold_out
+from identifiability.measurement.splitting import Rule, hold_out
 from identifiability.measurement.trials import Trial
 
 MOST_SAMPLES = 8_192
@@ -38,6 +38,10 @@ class Split:
     fitted, held_out : tuple of Prepared
     how_held_out : str
         In words, which part was held out.
+    held_out_rule : str
+        How it was chosen: see `Parts`.
+    held_out_numbers : tuple of int
+        Of the trials that were, among all; none where it is half of one.
     rules : Rules
         Conventions that everything after goes by.
     """
@@ -45,6 +49,8 @@ class Split:
     fitted: tuple[Prepared, ...]
     held_out: tuple[Prepared, ...]
     how_held_out: str
+    held_out_rule: Rule
+    held_out_numbers: tuple[int, ...]
     rules: Rules
 
     @property
@@ -175,6 +181,8 @@ def gather(
         parts.fitted,
         parts.held_out,
         parts.what_is_held_out + cut,
+        parts.rule,
+        parts.numbers,
         Rules() if rules is None else rules,
     )
 

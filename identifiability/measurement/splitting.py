@@ -38,11 +38,14 @@ class Parts:
         The second is empty where nothing could be held out.
     rule : {"named", "by amplitude", "second half", "first half", "nothing"}
         How they were chosen.
+    numbers : tuple of int
+        Of the held-out trials, among all; none where it is half of one.
     """
 
     fitted: tuple[Prepared, ...]
     held_out: tuple[Prepared, ...]
     rule: Rule
+    numbers: tuple[int, ...] = ()
 
     @property
     def what_is_fitted(self) -> str:
@@ -77,7 +80,8 @@ def hold_out(prepared: Sequence[Prepared], n_named: int = 0) -> Parts:
     """
     trials = tuple(prepared)
     if n_named:
-        return Parts(trials[:-n_named], trials[-n_named:], "named")
+        numbers = tuple(range(len(trials)))[-n_named:]
+        return Parts(trials[:-n_named], trials[-n_named:], "named", numbers)
     if len(trials) == 1:
         return _halves(trials[0])
     chosen = _by_amplitude([p.trial for p in trials])
@@ -85,6 +89,7 @@ def hold_out(prepared: Sequence[Prepared], n_named: int = 0) -> Parts:
         tuple(p for i, p in enumerate(trials) if i not in chosen),
         tuple(p for i, p in enumerate(trials) if i in chosen),
         "by amplitude",
+        tuple(sorted(chosen)),
     )
 
 

@@ -7,7 +7,7 @@ channels are cut off, by one filter, and so few samples are compared that none l
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -33,6 +33,7 @@ from identifiability.measurement.filtering import (
 from identifiability.measurement.noise import Noise
 from identifiability.measurement.perturbations import imposed_motion
 from identifiability.measurement.prepared import Prepared, prepare_whole_band
+from identifiability.measurement.splitting import Rule
 from identifiability.measurement.trials import Trial, extended
 
 _HALF_BAND = signal.firwin(23, 0.5)
@@ -71,6 +72,25 @@ class Band:
     angle_noise: float = 0.0
     step: float = 0.0
     changed: tuple[tuple[np.ndarray, ...], ...] = ()
+
+    def without(self, rule: Rule, numbers: Collection[int]) -> Band:
+        """The same without what an investigation holds out: trials, or half of one.
+
+        Parameters
+        ----------
+        rule : str
+            How it is held out: see `Parts`.
+        numbers : collection of int
+            Of the trials that are.
+        """
+        if numbers:
+            kept = [i for i in range(len(self.prepared)) if i not in numbers]
+            changed = tuple(tuple(by_trial[i] for i in kept) for by_trial in self.changed)
+            return replace(self, prepared=tuple(self.prepared[i] for i in kept), changed=changed)
+        (record,) = self.prepared
+        middle = (record.first + record.last) // 2
+        ends = (middle, record.last) if rule == "first half" else (record.first, middle)
+        return replace(self, prepared=(record.part(*ends),))
 
     @property
     def angle_imposed(self) -> bool:

@@ -87,6 +87,7 @@ def judge(
     rest: Unexplained,
     smallest_seen: Sequence[Detectable],
     library: Mapping[str, type[Effect]],
+    nested: Probabilities | None = None,
 ) -> Verdict:
     """Verdict on what is probable, and on how the errors of its model fall.
 
@@ -103,6 +104,8 @@ def judge(
     smallest_seen : sequence of Detectable
         Smallest effects that would have been seen, where nothing is missing.
     library : mapping of str to type of Effect
+    nested : Probabilities, optional
+        Of the sets that came near, by the trials that are not held out alone.
     """
     explains = found.share is None or found.share >= split.rules.explained_share
     named = claim.kind == "effects" and explains
@@ -117,7 +120,10 @@ def judge(
         reasons.append(Reason("clue", tuple(clues), clues))
     if claim.kind == "unknown" and posterior.description is not None:
         reasons.append(Reason("nearest form", (posterior.description,)))
-    reasons += [_errors(split, found), *_in_turn(found)]
+    reasons.append(_errors(split, found))
+    if nested is not None and claim.kind == "effects":
+        reasons.append(_without_held_out(claim, nested, split))
+    reasons += _in_turn(found)
     for missing in found.missing if named else ():
         reasons += _about(missing, found, split, library)
     if named and (left := posterior.discrepancy) is not None and left.kind != "none":
@@ -176,6 +182,13 @@ def _errors(split: Split, found: Found) -> Reason:
     if floor is not None:
         numbers["floor"] = floor
     return Reason("errors", (), numbers)
+
+
+def _without_held_out(claim: Claim, nested: Probabilities, split: Split) -> Reason:
+    """How probable what is claimed is by the trials that are not held out."""
+    probability = nested.claim(claim.sets)
+    alike = probability >= split.rules.claimed
+    return Reason("chosen alike" if alike else "chosen with", (), {"probability": probability})
 
 
 def _in_turn(found: Found) -> list[Reason]:

@@ -14,6 +14,8 @@ ReasonKind = Literal[
     "clue",
     "nearest form",
     "errors",
+    "chosen alike",
+    "chosen with",
     "removes in turn",
     "next best",
     "doubt",
@@ -45,6 +47,8 @@ class Reason:
         - nearest form: the description of no mechanism that something unknown is most like;
         - errors: E ``before`` and ``after`` on the fitted, ``held_out_before`` and
           ``held_out_after`` on the held-out trials, ``floor`` of the noise;
+        - chosen alike, chosen with: without the held-out trials what is claimed has this
+          ``probability``, and would be claimed, or would not;
         - removes in turn: the effects, each with the ``share`` of the misfit that it removes;
         - next best: with the first effect in the place of the second the log evidence is less by
           ``evidence`` [nats], and the set has this ``probability``;

@@ -167,6 +167,8 @@ def _reason(reason: Reason, findings: Findings) -> str:
         "clue": _clue,
         "nearest form": _nearest_form,
         "errors": _errors,
+        "chosen alike": _chosen_alike,
+        "chosen with": _chosen_with,
         "removes in turn": _in_turn,
         "next best": _next_best,
         "doubt": _doubt,
@@ -174,6 +176,20 @@ def _reason(reason: Reason, findings: Findings) -> str:
         "equations not exact": _not_exact,
         "edge of bounds": _edge,
     }[reason.kind](reason, findings)
+
+
+def _chosen_alike(reason: Reason, findings: Findings) -> str:
+    return (
+        "Held-out trials had no say in this: the others alone choose the same, with a probability "
+        f"of {percent(reason.numbers['probability'])}."
+    )
+
+
+def _chosen_with(reason: Reason, findings: Findings) -> str:
+    return (
+        "Held-out trials had a say in this, which makes their errors smaller: by the others alone "
+        f"its probability is {percent(reason.numbers['probability'])}."
+    )
 
 
 def _only_a_part(reason: Reason, findings: Findings) -> str:
