@@ -1,13 +1,16 @@
 """Bad input to every command: one sentence, exit code 2, no traceback, nothing half-written."""
 
+import shlex
+
 import numpy as np
 import pytest
 
 from identifiability.benchmark.blind import blind_cases
 from identifiability.benchmark.calibration import failed
 from identifiability.cli.exits import PARTIAL
-from identifiability.cli.main import main
-from identifiability.provenance import read_record
+from identifiability.cli.main import main, parser
+from identifiability.joint.effects import EFFECTS
+from identifiability.provenance import package_version, read_record
 from identifiability.report.calibration import calibration_page
 from identifiability.sweep.outcome import Outcome
 
@@ -182,3 +185,30 @@ def test_widths_writes_what_it_says(tmp_path, capsys):
     assert abs(stiffness["posterior_sd"] - 23.39) < 4 * stiffness["posterior_sd_mcse"]
     assert stiffness["verdict"] == "truncated"
     assert "truncated" in capsys.readouterr().out
+
+
+COMMANDS = ("demo", "fit", "investigate", "widths", "paper", "atlas", "benchmark")
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_ends_with_examples_that_are_understood(command, capsys):
+    with pytest.raises(SystemExit, match="0"):
+        main([command, "--help"])
+    lines = capsys.readouterr().out.split("examples:\n")[1].splitlines()
+    typed = [shlex.split(line) for line in lines]
+    assert typed
+    for name, *arguments in typed:
+        assert name == "identifiability"
+        if "--list-effects" not in arguments:
+            assert parser().parse_args(arguments).command == command
+
+
+def test_version_and_effects_are_told(capsys):
+    with pytest.raises(SystemExit, match="0"):
+        main(["--version"])
+    assert capsys.readouterr().out.split() == ["identifiability", package_version()]
+    with pytest.raises(SystemExit, match="0"):
+        main(["investigate", "--list-effects"])
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[0] for line in lines] == list(EFFECTS)
+    assert all(EFFECTS[line.split()[0]].title in line for line in lines)

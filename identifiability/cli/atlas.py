@@ -8,7 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from identifiability.cli.exits import PARTIAL, complain
-from identifiability.cli.options import add_out_option, add_workers_option, check_workers
+from identifiability.cli.options import (
+    add_out_option,
+    add_workers_option,
+    check_workers,
+    with_examples,
+)
 
 
 def add_parser(commands: Any) -> None:
@@ -19,6 +24,9 @@ def add_parser(commands: Any) -> None:
         description="Compare quadratic (Hessian) widths of K, B and I with sampled posteriors over "
         "a grid of musculoskeletal models, perturbations, durations and noise. An interrupted run "
         "goes on where it was when the same command is typed again.",
+        **with_examples(
+            "atlas --out results",
+        ),
     )
     parser.add_argument(
         "config",

@@ -14,6 +14,7 @@ from identifiability.cli.options import (
     add_workers_option,
     check_seed,
     check_workers,
+    with_examples,
 )
 from identifiability.errors import InputError
 
@@ -30,6 +31,10 @@ def add_parser(commands: Any) -> None:
         "effect at many sampling rates, and compare with far finer steps. speed: investigate six "
         "and sixteen trials and long records, and say how long it takes and where the time goes. "
         "An interrupted run goes on where it was when the same command is typed again.",
+        **with_examples(
+            "benchmark solver --out results",
+            "benchmark calibration --cases 28 --seed 193 --out results",
+        ),
     )
     parser.add_argument(
         "what",

@@ -7,6 +7,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from identifiability.cli.options import with_examples
+
 WINDOWS = (0.05, 0.1, 0.2)
 """Lengths [s] of the windows that are fitted."""
 
@@ -18,6 +20,10 @@ def add_parser(commands: Any) -> None:
         help="a small study, a fit to shipped (simulated) trials, and what the fit misses",
         description="Run a small study, fit stiffness, damping and inertia to the simulated "
         "trials that come with the package, look for what they miss, and say what was found.",
+        **with_examples(
+            "demo",
+            "demo --out my-first-look",
+        ),
     )
     parser.add_argument(
         "--out", type=Path, default=Path("identifiability-demo"), metavar="DIR", help="folder"

@@ -16,6 +16,7 @@ from identifiability.cli.options import (
     parse_bounds,
     parse_lowpass,
     read_trials,
+    with_examples,
 )
 from identifiability.errors import InputError
 
@@ -31,6 +32,11 @@ def add_parser(commands: Any) -> None:
         description="Fit stiffness, damping and inertia to recorded trials, with the noise of both "
         "channels, and report every width, the error E and the VAF, the fit's dependence on the "
         "window, and its VAF on data that were not fitted.",
+        **with_examples(
+            "fit trial1.csv trial2.csv --out fitted",
+            "fit servo.mat --variable z --rate 1000 --columns angle=0:rad torque=1:Nm "
+            "--driven angle --restoring --out ankle",
+        ),
     )
     add_file_options(parser)
     parser.add_argument(

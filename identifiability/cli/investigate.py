@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from identifiability.cli.options import (
+    ListEffects,
     add_bounds_option,
     add_file_options,
     add_lowpass_option,
@@ -19,6 +20,7 @@ from identifiability.cli.options import (
     parse_bounds,
     parse_lowpass,
     read_trials,
+    with_examples,
 )
 from identifiability.errors import InputError
 
@@ -36,6 +38,11 @@ def add_parser(commands: Any) -> None:
         "not fitted. Or learn that nothing is missing, that two effects cannot be told apart, that "
         "it is the sensor, or that it is none of the effects known. An interrupted run goes on "
         "where it was when the same command is typed again.",
+        **with_examples(
+            "investigate trials/*.csv --hold-out other.csv --out found",
+            "investigate trials/*.csv --limits torque=20 angle=0.3 duration=1 --out found",
+            "investigate --list-effects",
+        ),
     )
     add_file_options(parser)
     parser.add_argument(
@@ -45,6 +52,9 @@ def add_parser(commands: Any) -> None:
         type=Path,
         metavar="FILE",
         help="a trial that no model is fitted to (may be repeated; chosen by itself if none is)",
+    )
+    parser.add_argument(
+        "--list-effects", action=ListEffects, nargs=0, help="print the effects that are known"
     )
     add_lowpass_option(parser)
     add_bounds_option(parser)

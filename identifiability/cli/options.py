@@ -5,13 +5,42 @@ from __future__ import annotations
 import argparse
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from identifiability.errors import InputError
 
 if TYPE_CHECKING:
     from identifiability.measurement.filtering import Lowpass
     from identifiability.measurement.trials import Trial
+
+
+_EXAMPLES = "examples:"
+
+
+class _Formatter(argparse.HelpFormatter):
+    """Fills every text but examples, which stay as they were written."""
+
+    def _fill_text(self, text: str, width: int, indent: str) -> str:
+        return text if text.startswith(_EXAMPLES) else super()._fill_text(text, width, indent)
+
+
+def with_examples(*lines: str) -> dict[str, Any]:
+    """Arguments of a parser whose help ends with examples."""
+    examples = "\n".join([_EXAMPLES, *(f"  identifiability {line}" for line in lines)])
+    return {"epilog": examples, "formatter_class": _Formatter}
+
+
+class ListEffects(argparse.Action):
+    """Prints the effects that are known, and ends."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *unused: Any) -> None:
+        """Print them."""
+        from identifiability.joint.effects import EFFECTS
+
+        width = max(map(len, EFFECTS))
+        for key, effect in EFFECTS.items():
+            print(f"{key:{width}}  {effect.place:7} {effect.title}")
+        parser.exit()
 
 
 def add_out_option(parser: argparse.ArgumentParser) -> None:

@@ -8,7 +8,12 @@ import sys
 from typing import Any
 
 from identifiability.cli.exits import PARTIAL
-from identifiability.cli.options import add_out_option, add_workers_option, check_workers
+from identifiability.cli.options import (
+    add_out_option,
+    add_workers_option,
+    check_workers,
+    with_examples,
+)
 
 
 def add_parser(commands: Any) -> None:
@@ -19,6 +24,10 @@ def add_parser(commands: Any) -> None:
         description="Fit KBI to the responses of the musculoskeletal model over the grid of "
         "Kistemaker & Rozendaal (2011), redraw their figures, and write a page with the published "
         "numbers beside ours: paper.json, paper.nc, paper.md and the folder paper/ with figures.",
+        **with_examples(
+            "paper --quick --out look",
+            "paper --out results",
+        ),
     )
     add_out_option(parser)
     parser.add_argument(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from identifiability.cli.options import add_out_option, add_seed_option, check_seed
+from identifiability.cli.options import add_out_option, add_seed_option, check_seed, with_examples
 from identifiability.errors import InputError
 
 
@@ -17,6 +17,10 @@ def add_parser(commands: Any) -> None:
         description="Fit KBI to the response of a musculoskeletal model of known parameters, "
         "and compare the quadratic (Hessian) widths of K, B and I with slices, profiles and the "
         "posterior sampled by MCMC, under noise matched to the paper's dE.",
+        **with_examples(
+            "widths --msm 32 3.2 100 0.1 --out one",
+            "widths --msm 32 3.2 100 0.1 --window 0.2 --noise energy --out longer",
+        ),
     )
     parser.add_argument(
         "--msm",
