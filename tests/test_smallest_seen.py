@@ -27,6 +27,16 @@ def smallest_of(library, driven="torque"):
     return {d.key: d for d in study.smallest_seen(study.baseline)}
 
 
+def hidden_in(key, driven):
+    """An effect that trials of K, B and I may hide."""
+    study = study_of(KBI(), JOINT, 1, {key: EFFECTS[key]}, driven)
+    evaluator = study._evaluator(1)
+    plain = evaluator.evaluate(KBI(), [study.baseline.values])
+    any_form = discrepancy_of(evaluator, plain)
+    model = KBI() + EFFECTS[key]()
+    return _Hidden(evaluator, plain, any_form, model, key, 0.0, Rules(bad_luck=0.0), 1)
+
+
 def claimed(key, values, seed, driven="torque"):
     """Whether an effect of these values is claimed under one draw of the noise."""
     kind = EFFECTS[key]
@@ -51,16 +61,20 @@ def test_it_is_seen_at_the_stated_size_and_not_at_a_third(key, driven):
 
 def test_an_error_of_integration_is_no_trace():
     """One step a sample makes a tendon of 20 kNm/rad differ from none; a finer one does not."""
-    key = "nonlinear_tendon"
-    study = study_of(KBI(), JOINT, 1, {key: EFFECTS[key]}, "angle")
-    evaluator = study._evaluator(1)
-    plain = evaluator.evaluate(KBI(), [study.baseline.values])
-    any_form = discrepancy_of(evaluator, plain)
-    hidden = _Hidden(
-        evaluator, plain, any_form, KBI() + EFFECTS[key](), key, 0.0, Rules(bad_luck=0.0), 1
-    )
+    hidden = hidden_in("nonlinear_tendon", "angle")
     gain, _ = hidden.gained(1 / 20e3)
     assert gain < 1
+
+
+def test_corners_count_as_far_as_the_compared_band_goes():
+    """A recorder that compares up to some frequency does not see the corners of friction."""
+    key = "coulomb_friction"
+    hidden = hidden_in(key, "angle")
+    gain, _ = hidden.gained(0.18)
+    values = hidden.values(0.18)
+    study = study_of(KBI() + EFFECTS[key](), values, 100, {key: EFFECTS[key]}, "angle")
+    sets = study.weigh().sets
+    assert abs(gain - (sets[(key,)].log_evidence - sets[()].log_evidence)) < 8
 
 
 def test_its_record():

@@ -26,6 +26,8 @@ from identifiability.investigation.rules import Rules
 from identifiability.joint.effects.base import Effect
 from identifiability.joint.model import Model
 from identifiability.joint.programs import THREADS
+from identifiability.joint.response import simulate
+from identifiability.measurement.perturbations import imposed_motion
 from identifiability.progress import Progress, silent
 
 _FIRST = 0.01  # share of the nominal size that the bracket is looked for from
@@ -242,7 +244,9 @@ class _Hidden:
         tried = own.contenders
         try:
             x = changed.free_vector(values)
-            if draw:
+            if self._has_corners:
+                tried = (*self.evaluator.orders, *tried)
+            if draw or self._has_corners:
                 raw, _ = raw_residuals(changed, self.evaluator.band, x)
                 own = self.evaluator.reference.weights(raw, tried)
             smaller = self.evaluator.settled(without, points, own, known.refined, also=tried)
@@ -254,6 +258,11 @@ class _Hidden:
         inexact = self.any_form.beside(smaller, self.rules.trifle * self.evaluator.band.scale)
         made_up = max(0.0, inexact.log_evidence - np.log(2) - smaller.log_evidence)
         return gain - float(made_up), penalty
+
+    @property
+    def _has_corners(self) -> bool:
+        """Whether a torque may have corners that reach beyond the band that is compared."""
+        return self.evaluator.band.angle_imposed and not self.model.effect(self.key).linear
 
     @cached_property
     def _problems(self) -> tuple[Problem, Problem]:
@@ -286,6 +295,13 @@ class _Hidden:
                 return None
             having = having.with_scheme(having.integration.improved(error))
         rows = plain.by_observation(after - before)
+        n = len(self.evaluator.band.observations)
+        if self._has_corners:
+            rows[:n] = self._filtered(values, rows[:n])
+            if not np.all(np.isfinite(rows[:n])):
+                return None
+        for i in range(n):
+            rows[i::n] = rows[i]  # probes, which come after the trials, are of the same torque
         if draw:
             rows += self._exchanged(plain.by_observation(before), draw)
         observations = [
@@ -293,6 +309,24 @@ class _Hidden:
             for o, row in zip(plain.observations, rows, strict=False)
         ]
         return replace(plain, observations=observations), replace(having, observations=observations)
+
+    def _filtered(self, values: Mapping[str, float], rows: np.ndarray) -> np.ndarray:
+        """A trace as the recording would have it, by observation and sample.
+
+        A torque with corners reaches beyond the band that is compared: what a model says of the
+        angle in that band is not what the recorded torque is there.
+        """
+        band, known = self.evaluator.band, self.without
+        changes = []
+        for trial, angle in zip(band.recorded, band.motions(), strict=True):
+            drive = imposed_motion(trial.time, angle)
+            theta = known.model.vector(known.values)
+            after = simulate(self.model, self.model.vector(values), drive)
+            changes.append(after - simulate(known.model, theta, drive))
+        out, found = rows.copy(), band.responding(changes)
+        for row, new, old in zip(out, found, band.observations, strict=True):
+            row[: old.measured.size] = new.measured - old.measured
+        return out
 
     def _exchanged(self, left: np.ndarray, draw: int) -> np.ndarray:
         """What a draw of the noise adds to the recorded noise's place, by observation and sample.

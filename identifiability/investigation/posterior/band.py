@@ -13,6 +13,7 @@ from functools import cached_property
 
 import numpy as np
 from scipy import signal
+from scipy.interpolate import CubicSpline
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from identifiability.errors import InputError
@@ -63,6 +64,9 @@ class Band:
         To multiples of which the angle was rounded [rad]; 0 where it was not.
     changed : tuple of tuple of array
         What leaving out every other sample changes, by trial: see `between`. Of an imposed angle.
+    recorded : tuple of Trial
+        The trials before they were thinned and cut off at `cutoff_hz`. Of an imposed angle.
+    cutoff_hz : float
     """
 
     prepared: tuple[Prepared, ...]
@@ -72,6 +76,8 @@ class Band:
     angle_noise: float = 0.0
     step: float = 0.0
     changed: tuple[tuple[np.ndarray, ...], ...] = ()
+    recorded: tuple[Trial, ...] = ()
+    cutoff_hz: float = np.inf
 
     def without(self, rule: Rule, numbers: Collection[int]) -> Band:
         """The same without what an investigation holds out: trials, or half of one.
@@ -86,7 +92,12 @@ class Band:
         if numbers:
             kept = [i for i in range(len(self.prepared)) if i not in numbers]
             changed = tuple(tuple(by_trial[i] for i in kept) for by_trial in self.changed)
-            return replace(self, prepared=tuple(self.prepared[i] for i in kept), changed=changed)
+            return replace(
+                self,
+                prepared=tuple(self.prepared[i] for i in kept),
+                changed=changed,
+                recorded=tuple(t for i, t in enumerate(self.recorded) if i in kept),
+            )
         (record,) = self.prepared
         middle = (record.first + record.last) // 2
         ends = (middle, record.last) if rule == "first half" else (record.first, middle)
@@ -211,6 +222,23 @@ class Band:
         ]
         return [o for o, _ in self._pieces(moved)]
 
+    def motions(self) -> list[np.ndarray]:
+        """Imposed angles [rad], as far as they are compared, at the times they were recorded at."""
+        return [
+            CubicSpline(p.trial.time, p.trial.angle)(np.clip(t.time, *p.trial.time[[0, -1]]))
+            for p, t in zip(self.prepared, self.recorded, strict=True)
+        ]
+
+    def responding(self, changes: Sequence[np.ndarray]) -> list[Observation]:
+        """The observations, had the recorded torques been so different [Nm], one by trial."""
+        different = [
+            replace(t, torque=t.torque + change)
+            for t, change in zip(self.recorded, changes, strict=True)
+        ]
+        ready, _ = _moved_by_angles(different, self.cutoff_hz)
+        pairs = zip(self.prepared, ready, strict=True)
+        return [o for o, _ in self._pieces([replace(p, response=r.response) for p, r in pairs])]
+
     @property
     def stands(self) -> list[np.ndarray]:
         """Of each trial, the samples about which the angle does not leave one rounding step."""
@@ -301,7 +329,10 @@ def band_of(
         tuple(between.changes(fitted, _moved_by_angles(between.left_out(every, i), cutoff_hz)[0]))
         for i in (0, 1)
     )
-    band = Band(fitted, 1 + halves, dict(bounds or {}), (0, 0), noise, step, changed)
+    own = dict(bounds or {})
+    band = Band(
+        fitted, 1 + halves, own, (0, 0), noise, step, changed, tuple(every), float(cutoff_hz)
+    )
     longest = max(o.measured.size for o in band.observations)
     # Room for probes too, in one of few shapes.
     return replace(band, room=(2 * len(band.observations), roomy(longest)))
