@@ -87,8 +87,8 @@ def test_its_record():
 
 DRAWS = 20
 
-# On the safe side, but not sharp. Beside short-range stiffness a torque of hysteresis, no larger than
-# equations may be wrong by, makes up for it in some draws.
+# On the safe side, but not sharp. For short-range stiffness a torque of hysteresis, no larger than
+# equations may be wrong by, makes up in some draws.
 FAR = {
     ("gravity", "torque"): "20 of 20 at the stated size, 12 of 20 at a third",
     ("sensor_drift", "torque"): "20 of 20 at the stated size, 13 of 20 at a third",
