@@ -8,8 +8,8 @@ import sys
 from collections.abc import Sequence
 
 from identifiability.cli.exits import INTERRUPTED, USAGE
+from identifiability.cli.options import Version
 from identifiability.errors import InputError
-from identifiability.provenance import package_version
 
 
 def parser() -> argparse.ArgumentParser:
@@ -20,7 +20,7 @@ def parser() -> argparse.ArgumentParser:
         prog="identifiability",
         description="Can the stiffness, damping and inertia fitted to a joint be believed?",
     )
-    top.add_argument("--version", action="version", version=f"%(prog)s {package_version()}")
+    top.add_argument("--version", action=Version, nargs=0, help="print the version, and end")
     commands = top.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for module in (demo, fit, investigate, widths, paper, atlas, benchmark):
         module.add_parser(commands)

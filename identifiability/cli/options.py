@@ -30,6 +30,17 @@ def with_examples(*lines: str) -> dict[str, Any]:
     return {"epilog": examples, "formatter_class": _Formatter}
 
 
+class Version(argparse.Action):
+    """Prints the version of the package, and ends."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *unused: Any) -> None:
+        """Print it."""
+        from identifiability.provenance import package_version
+
+        print(parser.prog, package_version())
+        parser.exit()
+
+
 class ListEffects(argparse.Action):
     """Prints the effects that are known, and ends."""
 
