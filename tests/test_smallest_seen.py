@@ -62,7 +62,7 @@ def test_it_is_seen_at_the_stated_size_and_not_at_a_third(key, driven):
 def test_an_error_of_integration_is_no_trace():
     """One step a sample makes a tendon of 20 kNm/rad differ from none; a finer one does not."""
     hidden = hidden_in("nonlinear_tendon", "angle")
-    gain, _ = hidden.gained(1 / 20e3)
+    ((gain, _),) = hidden.gained(1 / 20e3)
     assert gain < 1
 
 
@@ -70,7 +70,7 @@ def test_corners_count_as_far_as_the_compared_band_goes():
     """A recorder that compares up to some frequency does not see the corners of friction."""
     key = "coulomb_friction"
     hidden = hidden_in(key, "angle")
-    gain, _ = hidden.gained(0.18)
+    ((gain, _),) = hidden.gained(0.18)
     values = hidden.values(0.18)
     study = study_of(KBI() + EFFECTS[key](), values, 100, {key: EFFECTS[key]}, "angle")
     sets = study.weigh().sets

@@ -114,8 +114,9 @@ def investigate(
             found = study.climb(posterior) if posterior else Found.nothing(first)
             if found.failure:
                 failures["error ladder"] = found.failure
+        claimed = study.claim(posterior).kind if posterior is not None else ""
         nested = None
-        if posterior is not None and study.claim(posterior).kind == "effects":
+        if posterior is not None and claimed == "effects":
             with timed("choice without what is held out"):
                 nested = attempt(
                     "choice without what is held out",
@@ -133,7 +134,7 @@ def investigate(
             if after is None:
                 after = study.unexplained(final, seed=seed)
         seen = None
-        if posterior is not None and study.claim(posterior).kind == "nothing":
+        if claimed == "nothing":
             with timed("smallest effects seen"):
                 seen = attempt(
                     "smallest effects seen", lambda: study.smallest_seen(final, seed=seed)

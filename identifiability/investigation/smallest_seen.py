@@ -27,7 +27,7 @@ from identifiability.joint.effects.base import Effect
 from identifiability.joint.model import Model
 from identifiability.joint.programs import THREADS
 from identifiability.joint.response import simulate
-from identifiability.measurement.perturbations import imposed_motion
+from identifiability.measurement.perturbations import Drive, imposed_motion
 from identifiability.progress import Progress, silent
 
 _FIRST = 0.01  # share of the nominal size that the bracket is looked for from
@@ -219,25 +219,35 @@ class _Hidden:
 
         The median of draws of the noise.
         """
-        short = []
-        for draw in draws:
-            gained = self.gained(strength, draw)
-            if gained is None:
-                return None
-            gain, penalty = gained
-            needed = np.sqrt(2 * (self.odds + penalty)) + self.rules.bad_luck
-            short.append(needed / np.sqrt(max(2 * (gain + penalty), 1e-2)))
-        return float(np.median(short))
+        found = self.gained(strength, draws)
+        if found is None:
+            return None
+        gain, penalty = np.array(found).T
+        needed = np.sqrt(2 * (self.odds + penalty)) + self.rules.bad_luck
+        return float(np.median(needed / np.sqrt(np.maximum(2 * (gain + penalty), 1e-2))))
 
-    def gained(self, strength: float, draw: int = 0) -> tuple[float, float] | None:
+    def gained(
+        self, strength: float, draws: Sequence[int] = (0,)
+    ) -> list[tuple[float, float]] | None:
         """Log evidence of the effect at a strength, and how much of its likelihood priors took.
 
-        In a draw of the noise, of which number 0 is the one that was recorded.
+        In draws of the noise, of which number 0 is the one that was recorded.
         """
         values = self.values(strength)
-        recorded = self._recorded(values, draw)
-        if recorded is None:
+        trace = self._trace(values)
+        if trace is None:
             return None
+        found = []
+        for draw in draws:
+            one = self._gained(values, self._recorded(*trace, draw), draw)
+            if one is None:
+                return None
+            found.append(one)
+        return found
+
+    def _gained(
+        self, values: Mapping[str, float], recorded: tuple[Problem, Problem], draw: int
+    ) -> tuple[float, float] | None:
         without, changed = recorded
         known, own = self.without, self.without.weights
         points = inside(without, np.array(self._starts(values, without)))
@@ -274,11 +284,19 @@ class _Hidden:
             band.problem(self.model, refined=known.refined, probes=probes),
         )
 
-    def _recorded(self, values: Mapping[str, float], draw: int) -> tuple[Problem, Problem] | None:
-        """Problems of both models, of what would have been recorded; None if it has no bounds."""
+    @cached_property
+    def _left(self) -> np.ndarray:
+        """What the model without it leaves: model minus measurement."""
+        return self._problems[0].residuals(self.without.x)
+
+    def _trace(self, values: Mapping[str, float]) -> tuple[Problem, np.ndarray] | None:
+        """Problem of the model with it, in steps that are short enough, and what it changes.
+
+        By observation and sample; None if it has no bounds.
+        """
         plain, having = self._problems
         having = having.with_scheme(having.suited(self.model.vector(values)))
-        x, before = having.free_vector(values), plain.residuals(self.without.x)
+        x, before = having.free_vector(values), self._left
         while True:
             after = having.residuals(x)
             if not np.all(np.isfinite(after)):
@@ -295,56 +313,55 @@ class _Hidden:
                 return None
             having = having.with_scheme(having.integration.improved(error))
         rows = plain.by_observation(after - before)
-        n = len(self.evaluator.band.observations)
         if self._has_corners:
-            rows[:n] = self._filtered(values, rows[:n])
-            if not np.all(np.isfinite(rows[:n])):
+            for row, change in zip(rows, self._filtered(values), strict=False):
+                row[: change.size] = change
+            if not np.all(np.isfinite(rows)):
                 return None
-        for i in range(n):
-            rows[i::n] = rows[i]  # probes, which come after the trials, are of the same torque
+        return having, rows
+
+    def _recorded(self, having: Problem, trace: np.ndarray, draw: int) -> tuple[Problem, Problem]:
+        """Problems of both models, of what would have been recorded in a draw of the noise."""
+        plain, rows = self._problems[0], trace.copy()
         if draw:
-            rows += self._exchanged(plain.by_observation(before), draw)
+            self._exchange(rows, draw)
+        n = len(self.evaluator.band.observations)
+        for i in range(n):
+            rows[i::n] = rows[i]  # probes, which come after the trials, have the same torque
         observations = [
             replace(o, measured=o.measured + row[: o.measured.size])
             for o, row in zip(plain.observations, rows, strict=False)
         ]
         return replace(plain, observations=observations), replace(having, observations=observations)
 
-    def _filtered(self, values: Mapping[str, float], rows: np.ndarray) -> np.ndarray:
-        """A trace as the recording would have it, by observation and sample.
+    def _filtered(self, values: Mapping[str, float]) -> list[np.ndarray]:
+        """A trace as the recording would have it, by observation.
 
         A torque with corners reaches beyond the band that is compared: what a model says of the
         angle in that band is not what the recorded torque is there.
         """
+        band, theta = self.evaluator.band, self.model.vector(values)
+        changes = [simulate(self.model, theta, drive) - before for drive, before in self._unchanged]
+        pairs = zip(band.responding(changes), band.observations, strict=True)
+        return [new.measured - old.measured for new, old in pairs]
+
+    @cached_property
+    def _unchanged(self) -> list[tuple[Drive, np.ndarray]]:
+        """By trial, its motion at the recorded times, and the torque of the model without it."""
         band, known = self.evaluator.band, self.without
-        changes = []
-        for trial, angle in zip(band.recorded, band.motions(), strict=True):
-            drive = imposed_motion(trial.time, angle)
-            theta = known.model.vector(known.values)
-            after = simulate(self.model, self.model.vector(values), drive)
-            changes.append(after - simulate(known.model, theta, drive))
-        out, found = rows.copy(), band.responding(changes)
-        for row, new, old in zip(out, found, band.observations, strict=True):
-            row[: old.measured.size] = new.measured - old.measured
-        return out
+        theta = known.model.vector(known.values)
+        drives = [
+            imposed_motion(trial.time, angle)
+            for trial, angle in zip(band.recorded, band.motions(), strict=True)
+        ]
+        return [(drive, simulate(known.model, theta, drive)) for drive in drives]
 
-    def _exchanged(self, left: np.ndarray, draw: int) -> np.ndarray:
-        """What a draw of the noise adds to the recorded noise's place, by observation and sample.
-
-        Parameters
-        ----------
-        left : array, shape (n_observations, n)
-            Model minus measurement.
-        draw : int
-            Number of the draw.
-        """
-        band = self.evaluator.band
-        added = np.zeros_like(left)
+    def _exchange(self, rows: np.ndarray, draw: int) -> None:
+        """Add to the trials what puts a draw of the noise in the place of the recorded one."""
+        left = self._problems[0].by_observation(self._left)
         drawn = self.without.weights.draw(np.random.default_rng([self.seed, draw]))
-        for i, (chosen, noise) in enumerate(zip(band.samples, drawn, strict=True)):
-            # Probes, which come after the trials, have the same noise.
-            added[i :: len(drawn)][:, chosen] = left[i, chosen] + noise
-        return added
+        for i, (chosen, noise) in enumerate(zip(self.evaluator.band.samples, drawn, strict=True)):
+            rows[i, chosen] += left[i, chosen] + noise
 
     def _starts(self, values: Mapping[str, float], problem: Problem) -> list[np.ndarray]:
         """Points to fit the model without the effect from.

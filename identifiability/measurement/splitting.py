@@ -79,23 +79,29 @@ def hold_out(prepared: Sequence[Prepared], n_named: int = 0) -> Parts:
         Number of trials, at the end, that the user named to be held out.
     """
     trials = tuple(prepared)
+    rule: Rule = "by amplitude"
     if n_named:
-        numbers = tuple(range(len(trials)))[-n_named:]
-        return Parts(trials[:-n_named], trials[-n_named:], "named", numbers)
-    if len(trials) == 1:
-        return _halves(trials[0])
-    chosen = _by_amplitude([p.trial for p in trials])
+        chosen, rule = set(range(len(trials) - n_named, len(trials))), "named"
+    elif len(trials) == 1:
+        return _one_half(trials[0])
+    else:
+        chosen = _by_amplitude([p.trial for p in trials])
     return Parts(
         tuple(p for i, p in enumerate(trials) if i not in chosen),
         tuple(p for i, p in enumerate(trials) if i in chosen),
-        "by amplitude",
+        rule,
         tuple(sorted(chosen)),
     )
 
 
-def _halves(record: Prepared) -> Parts:
+def halves(record: Prepared) -> tuple[Prepared, Prepared]:
+    """Both halves of a record."""
     middle = (record.first + record.last) // 2
-    one, other = record.part(record.first, middle), record.part(middle, record.last)
+    return record.part(record.first, middle), record.part(middle, record.last)
+
+
+def _one_half(record: Prepared) -> Parts:
+    one, other = halves(record)
     least = _MOVES * np.std(record.drive.signals[record.first : record.last, 0])
     for half in (one, other):
         imposed = half.drive.signals[half.first : half.last, 0]

@@ -34,7 +34,7 @@ from identifiability.measurement.filtering import (
 from identifiability.measurement.noise import Noise
 from identifiability.measurement.perturbations import imposed_motion
 from identifiability.measurement.prepared import Prepared, prepare_whole_band
-from identifiability.measurement.splitting import Rule
+from identifiability.measurement.splitting import Rule, halves
 from identifiability.measurement.trials import Trial, extended
 
 _HALF_BAND = signal.firwin(23, 0.5)
@@ -99,9 +99,7 @@ class Band:
                 recorded=tuple(t for i, t in enumerate(self.recorded) if i in kept),
             )
         (record,) = self.prepared
-        middle = (record.first + record.last) // 2
-        ends = (middle, record.last) if rule == "first half" else (record.first, middle)
-        return replace(self, prepared=(record.part(*ends),))
+        return replace(self, prepared=(halves(record)[rule == "first half"],))
 
     @property
     def angle_imposed(self) -> bool:
@@ -319,19 +317,25 @@ def band_of(
         n = len(band.observations) if band.n_samples < band.n_recorded else room[0]
         return replace(band, room=(n, room[1]))
     cutoff_hz = cutoff(every, lowpass_hz) or HIGHEST_HZ
-    fitted, halves = _moved_by_angles(every, cutoff_hz)
+    fitted, halved = _moved_by_angles(every, cutoff_hz)
     # What thinning leaves of white noise.
     rate = fitted[0].trial.sampling_rate
     noise = known_noise(recorded) / np.sqrt(max(1.0, recorded[0].sampling_rate / rate))
-    if halves:
+    if halved:
         noise *= np.sqrt(np.sum(_HALF_BAND**2))
     changed = tuple(
         tuple(between.changes(fitted, _moved_by_angles(between.left_out(every, i), cutoff_hz)[0]))
         for i in (0, 1)
     )
-    own = dict(bounds or {})
     band = Band(
-        fitted, 1 + halves, own, (0, 0), noise, step, changed, tuple(every), float(cutoff_hz)
+        fitted,
+        1 + halved,
+        dict(bounds or {}),
+        angle_noise=noise,
+        step=step,
+        changed=changed,
+        recorded=tuple(every),
+        cutoff_hz=float(cutoff_hz),
     )
     longest = max(o.measured.size for o in band.observations)
     # Room for probes too, in one of few shapes.

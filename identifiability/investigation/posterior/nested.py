@@ -42,6 +42,11 @@ def weigh_nested(
     rules : Rules
     progress : callable
         Told ``(what, done, total)``.
+
+    Raises
+    ------
+    InputError
+        Where the model to start from cannot be evaluated.
     """
     weighing = Weighing(kept.evaluator, library, baseline.keys, rules, progress, kept)
     likely = [r.effects for r in chosen.rows if r.effects and r.probability >= _NEAR]
@@ -51,7 +56,6 @@ def weigh_nested(
         jobs.append(Job(candidate.model, [candidate.values], candidate.refined))
     for i, _ in enumerate(weighing.weigh(jobs)):
         progress("weighing without the held-out trials", i + 1, len(jobs))
-    if () not in weighing.found:
-        raise ValueError(f"the model to start from has no evidence: {weighing.failures['']}")
+    weighing.require_base()
     weighing.settle()
     return weighing.posterior()

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
-from identifiability.errors import InputError
 from identifiability.inference.starts import refined_values, starting_values
 from identifiability.investigation.fits.candidate import Candidate
 from identifiability.investigation.posterior.evidence import Evaluated, Evaluator
@@ -72,8 +71,7 @@ def weigh(
     weighing = Weighing(evaluator, library, baseline.keys, rules or Rules(), progress, kept)
     search = _Search(weighing, library, progress)
     search.add("K, B and I", [Job(baseline.model, [baseline.values], baseline.refined)])
-    if () not in weighing.found:
-        raise InputError(f"the model to start from has no evidence: {weighing.failures['']}")
+    weighing.require_base()
     search.enlarge(())
     for size in range(2, most + 1):
         before = search.best(size - 1)

@@ -17,6 +17,7 @@ from typing import TypeVar
 
 import numpy as np
 
+from identifiability.errors import InputError
 from identifiability.investigation.fits.candidate import unfitted
 from identifiability.investigation.posterior.descriptions import Description, descriptions_of
 from identifiability.investigation.posterior.discrepancy import (
@@ -175,6 +176,17 @@ class Weighing:
         """What speaks against values that were found; nothing where any will do."""
         # Where an imposed angle moves the joint, parameters may lie anywhere on a ridge.
         return "" if self.evaluator.band.angle_imposed else found.model.objection(found.values)
+
+    def require_base(self) -> None:
+        """Refuse to go on where the model to start from could not be weighed.
+
+        Raises
+        ------
+        InputError
+            Why it could not.
+        """
+        if () not in self.found:
+            raise InputError(f"the model to start from has no evidence: {self.failures['']}")
 
     def take_up(self, sets: Sequence[Keys]) -> None:
         """Evaluate sets further, from where their fits ended, in steps that are short enough."""
