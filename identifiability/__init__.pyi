@@ -33,7 +33,7 @@ from .investigation.posterior.probabilities import Probabilities, SetProbability
 from .investigation.record import investigation_record
 from .investigation.rules import Rules
 from .investigation.session import Investigation
-from .investigation.smallest_seen import Detectable
+from .investigation.smallest_seen.detectable import Detectable
 from .investigation.split import Split
 from .investigation.unexplained.account import Unexplained
 from .investigation.unexplained.explanation import Family

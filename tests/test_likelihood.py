@@ -132,6 +132,21 @@ def test_restricted_likelihood_does_not_make_slow_noise_faster():
     assert plain < 0.975
 
 
+def test_parameters_that_do_the_same_leave_the_noise_as_it_is():
+    """A determinant of derivatives that repeat each other is rounding, and no likelihood."""
+    rng = np.random.default_rng(4)
+    motion, other = rng.standard_normal((2, 400)).cumsum(axis=1)
+    noise = Process(np.array([1.0, -0.8]), np.ones(1)).draw(400, rng)
+
+    def estimated(*derivatives):
+        stretch = Stretch(noise, np.column_stack(derivatives), 0)
+        return estimate_noise([stretch], None, contenders(carried=(False,)))[0]
+
+    once, twice = estimated(motion, other), estimated(motion, other, 3e4 * motion)
+    np.testing.assert_allclose(twice.own.ar, once.own.ar, atol=1e-6)
+    assert twice.own.sd == pytest.approx(once.own.sd, rel=1e-6)
+
+
 def test_trials_that_differ_in_level_are_told_apart():
     random = np.random.default_rng(6)
     levels = (1.0, 1.0, 4.0)

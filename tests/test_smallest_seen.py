@@ -5,10 +5,9 @@ import pytest
 from hidden import HELD, JOINT, trials
 from scipy.stats import binom
 
-from identifiability.investigation.posterior.discrepancy import discrepancy_of
-from identifiability.investigation.rules import Rules
 from identifiability.investigation.session import Investigation
-from identifiability.investigation.smallest_seen import _Hidden
+from identifiability.investigation.smallest_seen.detectable import unlucky
+from identifiability.investigation.smallest_seen.hidden import Hidden, Known
 from identifiability.joint.effects import EFFECTS
 from identifiability.joint.model import KBI
 
@@ -32,9 +31,8 @@ def hidden_in(key, driven):
     study = study_of(KBI(), JOINT, 1, {key: EFFECTS[key]}, driven)
     evaluator = study._evaluator(1)
     plain = evaluator.evaluate(KBI(), [study.baseline.values])
-    any_form = discrepancy_of(evaluator, plain)
-    model = KBI() + EFFECTS[key]()
-    return _Hidden(evaluator, plain, any_form, model, key, 0.0, Rules(bad_luck=0.0), 1)
+    known = Known.of(evaluator, plain, study.bench.rules.trifle, seed=1)
+    return Hidden(known, KBI() + EFFECTS[key](), key)
 
 
 def claimed(key, values, seed, driven="torque"):
@@ -55,6 +53,9 @@ def weaker(one, factor):
 @pytest.mark.parametrize(("key", "driven"), QUICK)
 def test_it_is_seen_at_the_stated_size_and_not_at_a_third(key, driven):
     one = smallest_of({key: EFFECTS[key]}, driven)[key]
+    assert (one.parameter, one.unit) == (f"{key}.stiffness", "Nm/rad")
+    assert one.values[one.parameter] == one.size
+    assert one.values["K"] == pytest.approx(JOINT["K"], rel=0.01)
     assert sum(claimed(key, one.values, seed, driven) for seed in range(100, 103)) >= 2
     assert sum(claimed(key, weaker(one, 3), seed, driven) for seed in range(200, 203)) <= 1
 
@@ -77,12 +78,28 @@ def test_corners_count_as_far_as_the_compared_band_goes():
     assert abs(gain - (sets[(key,)].log_evidence - sets[()].log_evidence)) < 8
 
 
-def test_its_record():
-    key = "series_tendon"
-    one = smallest_of({key: EFFECTS[key]})[key]
-    assert (one.parameter, one.unit) == ("series_tendon.stiffness", "Nm/rad")
-    assert one.values["series_tendon.stiffness"] == one.size
-    assert one.values["K"] == pytest.approx(JOINT["K"], rel=0.01)
+def test_bad_luck_in_known_noise():
+    """Evidence of a trace that is 6 standard deviations long, of which priors take 4 nats."""
+    lengths = 6 + np.random.default_rng(1).standard_normal(4000)
+    gains = 0.5 * lengths**2 - 4
+    left = unlucky(gains, np.full(gains.size, 4.0), 1.645)
+    assert left == pytest.approx(np.quantile(gains, 0.05), abs=0.3)
+
+
+@pytest.mark.parametrize("driven", ["torque", "angle"])
+def test_noise_is_drawn_from_the_order_that_made_it(driven):
+    """Trials with white noise; weighed by AICc it would have gaps."""
+    order = hidden_in("gravity", driven).known.noise.contenders[0].order
+    assert (order.p, order.q) == (0, 0)
+
+
+def test_evidence_of_a_slow_trace_grows_less_than_its_square():
+    """Where noise may have its colour, and then draws differ less than in known noise."""
+    hidden = hidden_in("gravity", "torque")
+    weak, strong = (hidden.gained(size, range(1, 7)) for size in (0.19, 0.57))
+    likelihoods = [np.median([gain + penalty for gain, penalty in all_]) for all_ in (weak, strong)]
+    assert likelihoods[1] < 4 * likelihoods[0]  # 9 times in known noise
+    assert np.std([gain for gain, _ in strong]) < 0.7 * np.sqrt(2 * likelihoods[1])
 
 
 DRAWS = 20

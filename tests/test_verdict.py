@@ -12,7 +12,7 @@ from identifiability.investigation.ladder.found import Found, Missing, Tried
 from identifiability.investigation.posterior.claim import claim_of
 from identifiability.investigation.posterior.discrepancy import Discrepant
 from identifiability.investigation.rules import Rules
-from identifiability.investigation.smallest_seen import Detectable
+from identifiability.investigation.smallest_seen.detectable import Detectable
 from identifiability.investigation.split import gather
 from identifiability.investigation.verdict.judge import KINDS, judge
 from identifiability.investigation.wording.verdict import because, verdict_sentence

@@ -9,9 +9,6 @@ from typing import Any
 
 from identifiability.cli.options import with_examples
 
-WINDOWS = (0.05, 0.1, 0.2)
-"""Lengths [s] of the windows that are fitted."""
-
 
 def add_parser(commands: Any) -> None:
     """Add the subcommand."""
@@ -41,7 +38,7 @@ def run(options: argparse.Namespace) -> int:
     from identifiability.investigation.investigate import investigate
     from identifiability.investigation.wording.verdict import verdict_sentence
     from identifiability.measurement.example import B_CE, INERTIA, K_CE, K_SE, example_trials
-    from identifiability.measurement.perturbations import Impulse
+    from identifiability.measurement.perturbations import WINDOWS, Impulse
     from identifiability.report.fit import fit_text, write_fit
     from identifiability.report.investigation import investigation_text, write_investigation
     from identifiability.report.widths import widths_text, write_widths

@@ -90,6 +90,7 @@ def _announce(what: str, done: int, total: int) -> None:
 
 def _usual_windows(trials: list[Trial]) -> list[float]:
     """The paper's windows, as far as every trial has room for them after a perturbation."""
+    from identifiability.measurement.perturbations import WINDOWS
     from identifiability.measurement.trials import onsets
 
     room = []
@@ -97,4 +98,4 @@ def _usual_windows(trials: list[Trial]) -> list[float]:
         starts = onsets(trial)
         gaps = [*(starts[1:] - starts[:-1]), trial.n_samples - 1 - starts[-1]]
         room.append(max(gaps) * trial.dt)
-    return [length for length in (0.05, 0.1, 0.2) if length < min(room)]
+    return [length for length in WINDOWS if length < min(room)]

@@ -110,10 +110,6 @@ def investigate(
         )
         with timed("probabilities"):
             posterior = attempt("probabilities", lambda: study.weigh(most=most, seed=seed))
-        with timed("error ladder"):
-            found = study.climb(posterior) if posterior else Found.nothing(first)
-            if found.failure:
-                failures["error ladder"] = found.failure
         claimed = study.claim(posterior).kind if posterior is not None else ""
         nested = None
         if posterior is not None and claimed == "effects":
@@ -122,6 +118,10 @@ def investigate(
                     "choice without what is held out",
                     lambda: study.weigh_nested(posterior, seed=seed),
                 )
+        with timed("error ladder"):
+            found = study.climb(posterior) if posterior else Found.nothing(first)
+            if found.failure:
+                failures["error ladder"] = found.failure
         final = found.final
         widths = None
         if with_widths:

@@ -33,7 +33,7 @@ from identifiability.investigation.posterior.nested import weigh_nested
 from identifiability.investigation.posterior.probabilities import Probabilities
 from identifiability.investigation.posterior.search import weigh
 from identifiability.investigation.rules import Rules
-from identifiability.investigation.smallest_seen import Detectable, detectable
+from identifiability.investigation.smallest_seen.detectable import Detectable, detectable
 from identifiability.investigation.split import Split, gather
 from identifiability.investigation.unexplained.account import Unexplained, unexplained
 from identifiability.investigation.verdict.judge import Verdict, judge

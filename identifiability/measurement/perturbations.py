@@ -351,3 +351,6 @@ def imposed_motion(time: np.ndarray, angle: np.ndarray) -> Drive:
 PERTURBATIONS: dict[str, type[Perturbation]] = {
     cls.key: cls for cls in (Impulse, Pulse, DoublePulse, Step, Sinusoid)
 }
+
+WINDOWS = (0.05, 0.1, 0.2)
+"""Times T [s] after a perturbation in which Kistemaker & Rozendaal (2011) compare."""

@@ -23,8 +23,9 @@ from identifiability.errors import InputError
 from identifiability.inference.problem import Problem
 from identifiability.inference.widths import Widths, widths
 from identifiability.measurement.noise import READINGS
-from identifiability.measurement.perturbations import PERTURBATIONS
+from identifiability.measurement.perturbations import PERTURBATIONS, WINDOWS
 from identifiability.provenance import fingerprint
+from identifiability.study import paper
 from identifiability.study.setting import Setting, measured_problem
 from identifiability.sweep.outcome import Arrays, Outcome
 from identifiability.sweep.run import sweep
@@ -157,7 +158,7 @@ class Plan:
     K_CE: tuple[float, ...] = (10.0, 30.0, 60.0, 100.0, 200.0)
     B_CE: tuple[float, ...] = (2.0, 8.0, 30.0)
     ratio: tuple[float, ...] = (2.0, 10.0)
-    T: tuple[float, ...] = (0.05, 0.1, 0.2)
+    T: tuple[float, ...] = WINDOWS
     perturbations: tuple[str, ...] = ("impulse", "sinusoid")
     readings: tuple[str, ...] = READINGS
     corner: tuple[Drawn, ...] = field(
@@ -235,10 +236,10 @@ class Plan:
 
 # The whole of the paper: 300 models of the muscle, three tendons, three durations, five torques.
 PAPER = {
-    "K_CE": [10.0 * i for i in range(1, 21)],
-    "B_CE": [2.0 * i for i in range(1, 16)],
-    "ratio": [2.0, 5.0, 10.0],
-    "T": [0.05, 0.1, 0.2],
+    "K_CE": list(paper.K_CE),
+    "B_CE": list(paper.B_CE),
+    "ratio": list(paper.RATIOS),
+    "T": list(WINDOWS),
     "perturbations": list(PERTURBATIONS),
     "readings": list(READINGS),
 }

@@ -23,6 +23,7 @@ from identifiability.inference.problem import Prior, Problem
 from identifiability.joint.model import KBI
 from identifiability.measurement.perturbations import (
     PERTURBATIONS,
+    WINDOWS,
     Impulse,
     Perturbation,
     SampledTorque,
@@ -36,7 +37,6 @@ from identifiability.sweep.run import sweep
 K_CE = tuple(np.linspace(10.0, 200.0, 20).tolist())
 B_CE = tuple(np.linspace(2.0, 30.0, 15).tolist())
 RATIOS = (2.0, 5.0, 10.0)
-WINDOWS = (0.05, 0.1, 0.2)
 DE = 1e-3
 
 # The text's grid ends at 30 Nms/rad, the Methods' at 32.

@@ -30,6 +30,7 @@ _MOST_CARRIED = 0.5 * np.log(_SHARES[-1]) + 3  # logarithm of carried over own, 
 _HELD_ROUNDS, _AS_KNOWN = 6, 1.02  # of own beside known noise; times what there is of that
 _ITERATIONS = 30
 _STEP, _INSIDE = 1e-5, 1e-3  # of differences; from bounds, to start at
+_SAME_DIRECTION = 1e-8  # length of a direction, over the longest, from which it is one
 _HUGE = 1e10  # stands for a noise without likelihood
 _SHORTLIST = 3
 
@@ -202,7 +203,7 @@ def estimate_noise(
             chosen = _Sample(_budget(scaled), carried)
             values, _, converged = chosen.fitted(order, values, restricted=True)
     noise = chosen.noise(order, values)
-    sd = scale * np.sqrt(_variance(scaled, noise))
+    sd = scale * np.sqrt(_variance(scaled, noise, chosen.k))
     if known and carried is not None and order.carried:
         for _ in range(_HELD_ROUNDS):
             missing = known / (sd * noise.parts[1].sd * unit)
@@ -212,7 +213,7 @@ def estimate_noise(
             values = np.append(values[:-1], min(values[-1] + np.log(missing), _MOST_CARRIED))
             values, _, converged = chosen.fitted(order, values, restricted=True, held=True)
             noise = chosen.noise(order, values)
-            sd = scale * np.sqrt(_variance(scaled, noise))
+            sd = scale * np.sqrt(_variance(scaled, noise, chosen.k))
     parts = [Process(part.ar, part.ma, part.sd * sd) for part in noise.parts]
     return (
         NoiseEstimate(
@@ -229,6 +230,18 @@ def estimate_noise(
 
 def _level(residual: np.ndarray) -> np.ndarray:
     return residual - residual.mean()
+
+
+def _basis(jacobian: np.ndarray) -> np.ndarray:
+    """What turns derivatives into independent directions of length 1, shape (k, rank).
+
+    Where two parameters do the same, the determinant of both is but rounding.
+    """
+    size = np.linalg.norm(jacobian, axis=0)
+    size[size == 0] = 1.0
+    _, length, turned = np.linalg.svd(jacobian / size, full_matrices=False)
+    there = length > _SAME_DIRECTION * length.max(initial=0.0)
+    return np.asarray(turned[there].T / length[there] / size[:, None])
 
 
 def _budget(stretches: Sequence[Stretch]) -> list[Stretch]:
@@ -255,10 +268,10 @@ def _levels(stretches: Sequence[Stretch], noise: ProcessSum, n: int) -> np.ndarr
     return np.sqrt(variances / common) if gain > 2 * (n - 1) else None
 
 
-def _variance(stretches: Sequence[Stretch], noise: ProcessSum) -> float:
-    """Variance of the whitened residual of all stretches, by its degrees of freedom."""
+def _variance(stretches: Sequence[Stretch], noise: ProcessSum, k: int) -> float:
+    """Variance of the whitened residual, of which a fit took out so many directions."""
     squares, counts = _whitened_squares(stretches, noise, 1 + max(s.trial for s in stretches))
-    freedom = counts.sum() - stretches[0].jacobian.shape[1]
+    freedom = counts.sum() - k
     return float(squares.sum() / max(1, freedom))
 
 
@@ -294,14 +307,13 @@ class _Sample:
     def __init__(self, stretches: Sequence[Stretch], carried: Process | None) -> None:
         self.carried = carried
         self.by_length: dict[int, tuple[np.ndarray, np.ndarray]] = {}
-        self.k = stretches[0].jacobian.shape[1]
-        size = np.sqrt(np.mean(np.concatenate([s.jacobian for s in stretches]) ** 2, axis=0))
-        size[size == 0] = 1.0
+        basis = _basis(np.concatenate([s.jacobian for s in stretches]))
+        self.k = basis.shape[1]
         for n in sorted({s.residual.size for s in stretches}):
             those = [s for s in stretches if s.residual.size == n]
             self.by_length[n] = (
                 np.column_stack([s.residual for s in those]),
-                np.column_stack([s.jacobian / size for s in those]),
+                np.column_stack([s.jacobian @ basis for s in those]),
             )
         self.n_samples = sum(n * r.shape[1] for n, (r, _) in self.by_length.items())
         self.shortest = min(self.by_length)
@@ -384,7 +396,7 @@ class _Sample:
                 determinant += m * (whitening.log_determinant(n) + 2 * np.log(length))
                 freedom += m * (n - 1)
                 if restricted:
-                    part = white[:, m:].reshape(-1, self.k)
+                    part = white[:, m:].reshape(n * m, self.k)
                     information += part.T @ part
             if restricted:
                 freedom -= self.k

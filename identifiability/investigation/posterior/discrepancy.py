@@ -112,6 +112,20 @@ class Discrepancy:
         starts = [found.weights] if self.noise is found.weights else [found.weights, self.noise]
         return max((beside.of(found, w) for w in starts), key=lambda one: one.log_evidence)
 
+    def inexact(self, found: Evaluated, most: float) -> tuple[Discrepant, Discrepant]:
+        """A model with any discrepancy, and with one that its equations' error explains.
+
+        Parameters
+        ----------
+        found : Evaluated
+        most : float
+            Size over the response's, as in `Discrepant`, that its equations may be wrong by.
+        """
+        free = self.beside(found)
+        if free.size <= most:
+            return free, free
+        return free, self.beside(found, most * self.evaluator.band.scale)
+
     @cached_property
     def _lively(self) -> np.ndarray:
         return np.concatenate(liveliness(self.evaluator.band))

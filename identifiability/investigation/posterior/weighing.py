@@ -460,13 +460,8 @@ class Weighing:
         self, discrepancies: Discrepancy, keys: Keys
     ) -> tuple[Discrepant, Discrepant] | None:
         """A set with any discrepancy, and with one that its equations' error explains."""
-        found = self.found[keys]
         try:
-            free = discrepancies.beside(found)
-            most = self._tolerated(keys)
-            if free.size <= most:
-                return free, free
-            return free, discrepancies.beside(found, most * self.evaluator.band.scale)
+            return discrepancies.inexact(self.found[keys], self._tolerated(keys))
         except (ValueError, np.linalg.LinAlgError) as error:
             self.failures[f"{'+'.join(keys)} and a discrepancy"] = str(error)
             return None

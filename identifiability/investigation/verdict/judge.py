@@ -11,7 +11,7 @@ from identifiability.investigation.ladder.found import Found, Missing
 from identifiability.investigation.posterior.claim import Claim, same_form
 from identifiability.investigation.posterior.discrepancy import Discrepant
 from identifiability.investigation.posterior.probabilities import Probabilities
-from identifiability.investigation.smallest_seen import Detectable
+from identifiability.investigation.smallest_seen.detectable import Detectable
 from identifiability.investigation.split import Split
 from identifiability.investigation.unexplained.account import Unexplained
 from identifiability.investigation.verdict.reasons import Reason

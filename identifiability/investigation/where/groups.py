@@ -9,9 +9,8 @@ import numpy as np
 
 from identifiability.investigation.split import Split
 from identifiability.investigation.where.imposed import OTHER_SIZE, Imposed, starts
+from identifiability.measurement.perturbations import WINDOWS
 
-WINDOWS = (0.05, 0.1, 0.2)
-"""Windows T [s] after each perturbation: those of Kistemaker & Rozendaal (2011)."""
 _FEWEST, _MANY = 5, 8  # samples of a window; perturbations of a record that is split into them
 _LOOKED_AT = 0.2  # seconds after a perturbation in which its size and direction are read
 _ONE_SIZE = 1.1  # ratio of two sizes up to which they count as one, where directions are compared

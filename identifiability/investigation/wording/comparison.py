@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from identifiability.investigation.fits.refits import NAMES, UNITS
 from identifiability.investigation.where.compare import Change, Comparison, Constancy
-from identifiability.investigation.where.groups import WINDOWS
 from identifiability.investigation.where.numerals import probability, told_apart
+from identifiability.measurement.perturbations import WINDOWS
 
 _WITH = {
     "window": "with the window",

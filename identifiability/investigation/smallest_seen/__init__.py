@@ -1,0 +1,1 @@
+"""What would have been seen, where nothing is missing."""
