@@ -240,6 +240,62 @@ def test_jitter_of_the_clock_is_resampled(tmp_path):
     assert "time steps varied by 2" in trial.notes[0]
 
 
+def late(gap, every):
+    """Time of samples 2 ms apart, of which one in so many is late."""
+    steps = np.full(2000, 2e-3)
+    steps[every // 2 :: every] *= gap
+    return np.concatenate([[0.0], np.cumsum(steps)])
+
+
+def swung(tmp_path, time, **options):
+    path = written(tmp_path, text_of(time, np.sin(9 * time), 0.1 * np.cos(7 * time)))
+    return read_trial(path, **options)
+
+
+def test_a_logger_that_is_late_now_and_then_is_resampled_and_it_is_said(tmp_path):
+    trial = swung(tmp_path, late(1.6, 400))
+    assert trial.dt == pytest.approx(2e-3)
+    np.testing.assert_allclose(trial.torque, np.sin(9 * trial.time), atol=1e-3)
+    np.testing.assert_allclose(trial.angle, 0.1 * np.cos(7 * trial.time), atol=1e-5)
+    assert "5 of 2000 time steps differ by 5 % or more, the longest is 1.6" in trial.notes[0]
+
+
+def test_one_that_is_late_often_is_resampled_where_that_is_asked_for(tmp_path):
+    time = late(1.6, 10)
+    with pytest.raises(InputError, match=r"200 of 2000 time steps .* with --resample 500"):
+        swung(tmp_path, time)
+    trial = swung(tmp_path, time, resample=500)
+    assert trial.sampling_rate == pytest.approx(500)
+    np.testing.assert_allclose(trial.angle, 0.1 * np.cos(7 * trial.time), atol=1e-4)
+
+
+def test_thinned_to_fewer_samples_nothing_folds_back(tmp_path):
+    time = late(1.6, 10)
+    fast = 0.05 * np.sin(2 * np.pi * 190 * time)
+    path = written(tmp_path, text_of(time, np.sin(9 * time) + fast, 0.1 * np.cos(7 * time)))
+    trial = read_trial(path, resample=100)
+    inner = slice(20, -20)
+    assert trial.sampling_rate == pytest.approx(100)
+    assert np.abs(trial.torque - np.sin(9 * trial.time))[inner].max() < 0.02
+    even = read_trial(written(tmp_path, text_of(TIME, TORQUE, ANGLE)), resample=1000)
+    assert_same(even)
+
+
+@pytest.mark.parametrize(
+    ("time", "options", "sentence"),
+    [
+        (late(7, 900), {}, r"across no more than 5 of these: cut the recording there"),
+        (late(7, 900), {"resample": 100}, "cut the recording there"),
+        (late(1, 900), {"resample": 900}, "900 Hz is asked for, but the file has 500 samples a"),
+        (late(1, 900), {"resample": -1}, "-1 Hz is asked for"),
+        (late(1, 900), {"resample": math.nan}, "nan Hz is asked for"),
+    ],
+)
+def test_what_cannot_be_resampled_is_refused(tmp_path, time, options, sentence):
+    with pytest.raises(InputError, match=sentence):
+        swung(tmp_path, time, **options)
+
+
 def changed(row, text):
     """The file with one of its rows replaced, counted from 1 as an editor does."""
     lines = text_of(TIME, TORQUE, ANGLE).splitlines()

@@ -116,6 +116,12 @@ def add_file_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--variable", metavar="NAME", help="variable of a .mat file")
     parser.add_argument("--rate", type=float, metavar="HZ", help="where there is no time column")
     parser.add_argument(
+        "--resample",
+        type=float,
+        metavar="HZ",
+        help="interpolate to so many samples a second, where the clock is uneven, or thin to them",
+    )
+    parser.add_argument(
         "--restoring",
         action="store_true",
         help="the torque recorded is the joint's reaction, not the torque applied to it",
@@ -150,6 +156,7 @@ def read_trials(options: argparse.Namespace, files: Sequence[Path] | None = None
             columns=columns,
             variable=options.variable,
             rate=options.rate,
+            resample=options.resample,
             restoring=options.restoring,
             driven=options.driven,
         )

@@ -5,25 +5,19 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import warnings
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Final, Literal
+from typing import Literal
 
 import numpy as np
-from scipy import interpolate
 
 from identifiability.errors import InputError
 from identifiability.measurement.filtering import HIGHEST_HZ
+from identifiability.measurement.readers.clock import Samples, evenly
 from identifiability.measurement.readers.columns import checked, located
 from identifiability.measurement.readers.formats import READERS
 from identifiability.measurement.readers.tables import Columns, Options, Table
-from identifiability.measurement.trials import FloatArray, Trial
+from identifiability.measurement.trials import Trial
 from identifiability.measurement.units import parse_unit
-
-MAX_JITTER: Final = 0.05
-"""Largest relative departure of a time step from the median one that is resampled away."""
-
-_CLOCK_ROUNDING: Final = 1e-3  # of a step: a time column that was printed with few digits
 
 
 def read_trial(
@@ -32,6 +26,7 @@ def read_trial(
     columns: Columns | None = None,
     variable: str | None = None,
     rate: float | None = None,
+    resample: float | None = None,
     restoring: bool = False,
     driven: Literal["torque", "angle"] = "torque",
     name: str | None = None,
@@ -40,8 +35,9 @@ def read_trial(
 
     Text files (.csv, .tsv, .txt, .dat) may be separated by comma, semicolon, tab or white space,
     with a decimal point or comma; lines that start with ``#`` are skipped. MATLAB files (.mat) may
-    be of any version. Time steps that vary by less than 5 % are resampled to the median one,
-    torque linearly and angle by monotone cubics (PCHIP), which the trial's notes tell.
+    be of any version. Time steps that vary by less than 5 %, or that are late now and then, are
+    resampled to the median one, torque linearly and angle by monotone cubics (PCHIP), which the
+    trial's notes tell.
 
     Parameters
     ----------
@@ -56,6 +52,9 @@ def read_trial(
         several.
     rate : float, optional
         Sampling rate (Hz), needed where there is no time column.
+    resample : float, optional
+        Samples a second (Hz) to be interpolated to, however uneven the clock is; no more than the
+        file has. Fewer are freed of what would fold back.
     restoring : bool
         The torque in the file is the joint's reaction: change its sign.
     driven : {"torque", "angle"}
@@ -86,7 +85,7 @@ def read_trial(
             table, sha256 = _load(path, Options(variable, wanted))
             if wanted is None:
                 wanted = located(table, rate)
-            time, torque, angle, notes = _samples(table, wanted, rate)
+            time, torque, angle, notes = _samples(table, wanted, rate, resample)
             if restoring:
                 torque = -torque
                 notes = (*notes, "sign of torque changed (recorded as the joint's reaction)")
@@ -100,6 +99,8 @@ def read_trial(
                 sha256=sha256,
                 notes=notes,
             )
+            if resample is not None:
+                trial = trial.thinned(round(trial.sampling_rate / resample))
         except InputError as error:
             raise InputError(f"{path.name}: {error}") from None
         _warn_of_sign(trial, restoring)
@@ -126,11 +127,8 @@ def _load(path: Path, options: Options) -> tuple[Table, str]:
     return reader(path, options), hashlib.sha256(content).hexdigest()
 
 
-_Samples = tuple[FloatArray, FloatArray, FloatArray, tuple[str, ...]]
-
-
-def _samples(table: Table, columns: Columns, rate: float | None) -> _Samples:
-    """Time, torque and angle in SI units on a uniform grid, and what was done to them."""
+def _samples(table: Table, columns: Columns, rate: float | None, resample: float | None) -> Samples:
+    """Time, torque and angle in SI units on an even clock, and what was done to them."""
     if rate is not None and not 0.0 < rate < np.inf:
         raise InputError(f"the sampling rate is {rate} Hz, but must be above 0")
     places = {table.index(column) for column, _ in columns.values()}
@@ -145,68 +143,27 @@ def _samples(table: Table, columns: Columns, rate: float | None) -> _Samples:
         found = ", ".join(f"{quantity} {size}" for quantity, size in sizes.items())
         raise InputError(f"the columns must be equally long, but their lengths are {found}")
     torque, angle = values["torque"], values["angle"]
-    if "time" not in values:
-        if rate is None:
-            raise InputError(
-                "there is no time column and no sampling rate: give the rate, such as --rate 1000, "
-                "or the column of time, such as --columns time=0:s"
-            )
-        return np.arange(torque.size, dtype=np.float64) / rate, torque, angle, table.notes
-    time, torque, angle, notes = _evenly(values["time"], torque, angle, table.rows)
-    if rate is not None and time.size > 1:
+    if "time" in values:
+        time = values["time"]
+    elif rate is not None:
+        time = np.arange(torque.size, dtype=np.float64) / rate
+    else:
+        raise InputError(
+            "there is no time column and no sampling rate: give the rate, such as --rate 1000, "
+            "or the column of time, such as --columns time=0:s"
+        )
+    recorded = Samples(time, torque, angle, table.notes)
+    if "time" not in values and resample is None:
+        return recorded
+    samples = evenly(recorded, table.rows, resample)
+    if rate is not None and "time" in values and time.size > 1:
         found_rate = (time.size - 1) / (time[-1] - time[0])
         if not abs(found_rate / rate - 1.0) <= 0.01:
             raise InputError(
                 f"the rate is given as {rate:g} Hz, but the time column has {found_rate:.6g} Hz: "
                 "leave the rate out, or correct the unit of time"
             )
-    return time, torque, angle, (*table.notes, *notes)
-
-
-def _evenly(
-    time: FloatArray, torque: FloatArray, angle: FloatArray, rows: Sequence[int]
-) -> _Samples:
-    """Bring the channels to a uniform time grid, or refuse."""
-    steps = np.diff(time)
-    backward = np.flatnonzero(steps <= 0.0)
-    if backward.size:
-        at = int(backward[0]) + 1
-        raise InputError(
-            f"row {rows[at]}: time must increase, but {time[at]:.9g} s comes after "
-            f"{time[at - 1]:.9g} s"
-        )
-    if time.size < 3 or not np.isfinite(steps).all():
-        return time, torque, angle, ()  # for Trial to refuse
-    start, step = float(time[0]), float((time[-1] - time[0]) / steps.size)
-    notes = []
-    if np.spacing(abs(start)) > 1e-8 * step:
-        notes.append(f"time counted from {start:.12g} s")
-        time, start = time - start, 0.0
-    grid = start + step * np.arange(time.size, dtype=np.float64)
-    departure = float(np.abs(time - grid).max()) / step
-    if departure <= _CLOCK_ROUNDING:
-        if departure > 1e-6:
-            notes.append(f"rounding of time undone (up to {departure:.1g} of a step)")
-        return grid, torque, angle, tuple(notes)
-
-    typical = float(np.median(steps))
-    jitter = np.abs(steps / typical - 1.0)
-    uneven = np.flatnonzero(jitter >= MAX_JITTER)
-    if uneven.size:
-        at = int(uneven[0])
-        raise InputError(
-            f"row {rows[at + 1]}: the time step is {steps[at]:.6g} s where {typical:.6g} s "
-            f"is usual, a jitter of {100 * jitter[at]:.3g} % where less than "
-            f"{100 * MAX_JITTER:g} % is resampled: cut the recording there, or resample it"
-        )
-    n_steps = int((time[-1] - start) / typical * (1.0 + 1e-12))
-    grid = start + typical * np.arange(n_steps + 1, dtype=np.float64)
-    notes.append(
-        f"resampled to {typical:.9g} s (torque linear, angle PCHIP): time steps varied by "
-        f"{100 * jitter.max():.2g} %"
-    )
-    resampled = interpolate.PchipInterpolator(time, angle)(np.minimum(grid, time[-1]))
-    return grid, np.interp(grid, time, torque), resampled, tuple(notes)
+    return samples
 
 
 def _warn_of_sign(trial: Trial, restoring: bool) -> None:
