@@ -5,14 +5,14 @@ import re
 
 import pytest
 
-from identifiability.cli import demo
 from identifiability.cli.main import main
+from identifiability.measurement import perturbations
 from identifiability.measurement.example import B_CE, INERTIA, K_CE, K_SE
 
 
 @pytest.mark.usefixtures("few_effects")
 def test_the_demo_finds_the_joint_that_was_made(tmp_path, capfd, monkeypatch):
-    monkeypatch.setattr(demo, "WINDOWS", (0.1, 0.2))
+    monkeypatch.setattr(perturbations, "WINDOWS", (0.1, 0.2))
     out = tmp_path / "demo"
     assert main(["demo", "--out", str(out)]) == 0
     said = capfd.readouterr().out
