@@ -46,6 +46,14 @@ def few_effects(monkeypatch):
     monkeypatch.setattr("identifiability.investigation.investigate.investigate", few)
 
 
+@pytest.fixture
+def no_smallest_effects(monkeypatch):
+    """Investigations that do not look for the smallest effects seen, which takes most of a null."""
+    from identifiability.investigation.session import Investigation
+
+    monkeypatch.setattr(Investigation, "smallest_seen", lambda *args, **options: ())
+
+
 @pytest.fixture(scope="session")
 def shared_data():
     """Folder of the recordings that are not part of this repository."""

@@ -24,8 +24,13 @@ def turned(time: np.ndarray, kind: str, size: float) -> np.ndarray:
     return 0.02 * size * (there - again)
 
 
-def trials(model, values, seed=1, noise=1e-3, conditions=None, driven="torque", time=TIME):
-    """Trials of a model of the library, with white noise of a relative size in the response."""
+def trials(
+    model, values, seed=1, noise=1e-3, conditions=None, driven="torque", time=TIME, like=None
+):
+    """Trials of a model of the library, with white noise of a relative size in the response.
+
+    Or in that of another model and values they are `like`.
+    """
     conditions = conditions or [("pulse", 8), ("pulse", -16), ("step", 4), ("step", -6)]
     rng = np.random.default_rng(seed)
     theta = model.vector(values)
@@ -38,7 +43,8 @@ def trials(model, values, seed=1, noise=1e-3, conditions=None, driven="torque", 
             given = turned(time, kind, size)
             drive = imposed_motion(time, given)
         response = simulate(model, theta, drive)
-        sd = noise * np.sqrt(np.mean(response**2))
+        usual = simulate(like[0], like[0].vector(like[1]), drive) if like else response
+        sd = noise * np.sqrt(np.mean(usual**2))
         noisy = response + sd * rng.standard_normal(response.size)
         pair = (given, noisy) if driven == "torque" else (noisy, given)
         out.append(Trial(time, *pair, driven=driven, name=f"t{i}", condition=kind))

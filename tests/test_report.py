@@ -230,6 +230,7 @@ def test_a_failed_candidate_is_shown_and_does_not_stop_the_rest(tmp_path):
     assert not re.search(r'(src|href)="(?!data:|#)', page)
 
 
+@pytest.mark.usefixtures("no_smallest_effects")
 def test_a_part_that_fails_is_told_and_takes_no_other_with_it(tmp_path, monkeypatch):
     def fails(*args):
         raise ValueError("the trials are of no use")

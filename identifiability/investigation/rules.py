@@ -53,9 +53,8 @@ class Rules:
     loose : float
         Half the 95 % interval over the value from which a parameter counts as not pinned down: its
         value is then known to a factor of three at best.
-    bad_luck : float
-        Standard deviations by which the noise shortens an effect's trace in the smallest effect
-        that would have been seen: the noise is less kind in one draw of twenty.
+    noise_draws : int
+        Draws of the noise, in all of which the smallest effect that would have been seen is seen.
     false_discoveries : float
         Rate of false discoveries within each view of where a model fails, and over the aspects of
         its comparison (Benjamini & Hochberg 1995, J R Stat Soc B 57: 289-300).
@@ -85,7 +84,7 @@ class Rules:
     notable: float = 3.0
     enough_noise: float = 1.5
     loose: float = 0.5
-    bad_luck: float = 1.645
+    noise_draws: int = 10
     false_discoveries: float = 0.05
     solver_share: float = scheme.SHARE
     solver_most: float = scheme.MOST

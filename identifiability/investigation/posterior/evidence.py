@@ -297,8 +297,7 @@ class Evaluator:
         """
         best = None
         for orders in (*[self.plain] * (_ROUNDS - 1), self.orders):
-            weighed = Weighed(problem, self.band, weights)
-            x = explore(weighed, points, evaluations=_EVALUATIONS).values
+            x = self.fitted(problem, points, weights)
             points = x[None]
             tried = (*orders, *weights.contenders[:1], *also)
             weights = self.reference.weights(raw_residuals(problem, self.band, x)[0], tried)
@@ -309,6 +308,11 @@ class Evaluator:
                 break
         assert best is not None
         return best
+
+    def fitted(self, problem: Problem, points: np.ndarray, weights: Weights) -> np.ndarray:
+        """Best values of the free parameters in known noise, from given points."""
+        weighed = Weighed(problem, self.band, weights)
+        return explore(weighed, points, evaluations=_EVALUATIONS).values
 
     def reweighed(self, found: Evaluated, contender: Contender) -> Evaluated:
         """A model with its noise sought from another's, where that is better.

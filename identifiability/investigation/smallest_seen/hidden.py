@@ -176,13 +176,15 @@ class Hidden:
             smaller = self._evaluator.settled(
                 without, points, own, known.refined, also=known.weights.contenders
             )
+            # A draw of the noise moves its best fit too.
+            x = self._evaluator.fitted(changed, x[None], own)
             larger = self._evaluator.evaluated(changed, x, own, known.refined, tried)
         except (ValueError, np.linalg.LinAlgError):
             return None
         gain = larger.log_evidence - smaller.log_evidence
         penalty = max(0.0, larger.log_likelihood - smaller.log_likelihood - gain)
         any_form = replace(self.known.any_form, noise=larger.weights)
-        _, inexact = any_form.inexact(smaller, self.known.trifle)
+        inexact = any_form.beside(smaller, self.known.trifle * self._evaluator.band.scale)
         made_up = max(0.0, inexact.log_evidence - np.log(2) - smaller.log_evidence)
         return gain - float(made_up), penalty
 
