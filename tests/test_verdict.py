@@ -53,6 +53,7 @@ def findings(split, rows, share=1.0, kind="none", *, rivals=(), values=(), at_bo
             base,
             tuple(rivals) if i == 0 else (),
             next((names for names in claim.sets if key in names), (key,)),
+            (),
             removed if i == 0 else 0.0,
         )
         for i, key in enumerate(claim.effects)

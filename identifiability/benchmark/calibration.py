@@ -172,11 +172,10 @@ def _joint(case: HiddenCase, found: Probabilities) -> tuple[tuple[str, float, fl
         "B": of("passive_damping", "muscle_damping"),
         "I": of("inertia"),
     }
-    rows = zip(true.items(), weighed.joint_sd, strict=True)
     values = weighed.candidate.values
     return tuple(
-        (name, value, values[name], sd)
-        for (name, value), sd in rows
+        (name, value, values[name], weighed.sds.get(name, 0.0))
+        for name, value in true.items()
         if name == "I" or not case.truth
     )
 

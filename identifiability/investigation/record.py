@@ -13,6 +13,7 @@ from identifiability.files import plain
 from identifiability.investigation.findings import Findings
 from identifiability.investigation.fits.candidate import Candidate
 from identifiability.investigation.ladder.found import Tried
+from identifiability.investigation.models import fitted_models
 from identifiability.investigation.next_experiment import NextExperiment
 from identifiability.investigation.posterior.probabilities import Probabilities
 from identifiability.investigation.unexplained.account import Unexplained
@@ -69,6 +70,18 @@ def investigation_record(findings: Findings, *, command: str = "") -> dict[str, 
                     "in_its_place": [_tried(r) for r in missing.rivals],
                 }
                 for missing in found.missing
+            ],
+            "models": [
+                {
+                    "role": one.role,
+                    "effects": list(one.candidate.keys),
+                    "added": one.added,
+                    "in_the_place_of": one.replaced,
+                    **_errors(one.candidate),
+                    "parameters": dict(one.candidate.values),
+                    "sd": dict(one.sds),
+                }
+                for one in fitted_models(findings)
             ],
             "verdict": {
                 "kind": verdict.kind,

@@ -3,11 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import floor, log10
 
 
 def with_unit(number: str, unit: str) -> str:
     """Return a number with its unit, where it has one: "1" is none."""
     return number if unit == "1" else f"{number} {unit}"
+
+
+def plus_minus(value: float, sd: float | None = None) -> str:
+    """Return a number with its standard deviation, to as many digits as that has two of."""
+    if sd is None or not 0 < sd < float("inf"):
+        return f"{value:.4g}"
+    decimals = 1 - floor(log10(sd))
+    if decimals <= 0:
+        return f"{round(value, decimals):.0f} ± {round(sd, decimals):.0f}"
+    return f"{value:.{decimals}f} ± {sd:.{decimals}f}"
 
 
 @dataclass(frozen=True)

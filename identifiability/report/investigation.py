@@ -34,6 +34,7 @@ from identifiability.plots.investigation_where import (
     where_figure,
 )
 from identifiability.plots.style import save
+from identifiability.report.models import models_table, models_text
 from identifiability.report.page import Page
 
 _ROWS = 6  # sets listed in the terminal, at most
@@ -69,14 +70,8 @@ def write_investigation(findings: Findings, out: Path, *, command: str) -> list[
 
 def investigation_text(findings: Findings) -> str:
     """What was found, as text."""
-    found, floor = findings.found, findings.split.noise_floor()
-    names = ["baseline" if found.baseline.keys else "K, B, I"]
-    names += [f"+ {words.plain(m.name)}" for m in found.missing]
     lines = [words.verdict_sentence(findings), ""]
-    lines.append(f"{'model':<34}{'E fitted':>12}{'E held out':>12}")
-    for name, rung in zip(names, found.ladder, strict=True):
-        lines.append(f"{name:<34}{rung.fitted.error:>12.3g}{rung.held_out.error:>12.3g}")
-    lines.append(f"{'noise floor':<34}" + (f"{floor:>12.3g}" if floor else f"{'unknown':>12}"))
+    lines += models_text(findings)
     lines += ["", *words.because(findings)]
     if findings.next_experiment is not None:
         lines += ["", f"Next experiment. {next_experiment_sentence(findings.next_experiment)}"]
@@ -144,7 +139,11 @@ def _verdict(page: Page, findings: Findings) -> None:
         f"({split.how_held_out}); {split.driven} imposed; "
         f"{findings.found.n_weighed} sets of effects weighed."
     )
-    page.box([words.TITLES[findings.verdict.kind] + ".", words.verdict_sentence(findings)])
+    box = [words.TITLES[findings.verdict.kind] + ".", words.verdict_sentence(findings)]
+    if findings.next_experiment is not None:
+        box.append(f"Next: {next_experiment_sentence(findings.next_experiment)}")
+    page.box(box)
+    models_table(page, findings)
     page.items(words.because(findings))
     if findings.warnings:
         page.heading("What could not be done")

@@ -106,6 +106,7 @@ class _Climb:
         out: list[Missing] = []
         before: float | None = 0.0
         for key, rung, rest in zip(order, rungs, rests, strict=True):
+            could_be = next((names for names in self.claim.sets if key in names), (key,))
             removed = removed_share(self.bench.split, self.baseline, fits[rung])
             share = None if removed is None or before is None else removed - before
             out.append(
@@ -114,7 +115,8 @@ class _Climb:
                     fits[rung],
                     fits[rest],
                     self._rivals(key, keys),
-                    next((names for names in self.claim.sets if key in names), (key,)),
+                    could_be,
+                    self._instead(could_be, key, rest),
                     share,
                 )
             )
@@ -156,6 +158,13 @@ class _Climb:
         again = self.bench.fit(final.model, starts, refined=final.refined)
         better = not again.failure and again.fitted.weighted < final.fitted.weighted
         return again if better else final
+
+    def _instead(self, could_be: Keys, key: str, rest: Keys) -> tuple[Candidate, ...]:
+        """The final model with other effects in an effect's place, as far as they were weighed."""
+        others = [tuple(sorted((*rest, name))) for name in could_be if name not in (key, *rest)]
+        known = [self.posterior.sets[keys] for keys in others if keys in self.posterior.sets]
+        fitted = [self.bench.finish(weighed.candidate) for weighed in known]
+        return tuple(one for one in fitted if not one.failure)
 
     def _rivals(self, key: str, keys: Keys) -> tuple[Tried, ...]:
         """What was weighed in the place of an effect of the final model, best first."""

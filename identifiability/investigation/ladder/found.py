@@ -63,6 +63,8 @@ class Missing:
         What was weighed in its place, best first; evidence is against the final model.
     could_be : tuple of str
         Keys of the effects that the data do not tell from it, it included, best name first.
+    instead : tuple of Candidate
+        The final model with each of those in its place, fitted to the same trials.
     share : float or None
         Share of the baseline's misfit that it removes in its turn, on held-out trials where there
         are any.
@@ -73,6 +75,7 @@ class Missing:
     without: Candidate
     rivals: tuple[Tried, ...]
     could_be: tuple[str, ...]
+    instead: tuple[Candidate, ...]
     share: float | None
 
     @property

@@ -160,10 +160,11 @@ class Evaluated:
         return self.problem.integration
 
     @property
-    def joint_sd(self) -> np.ndarray:
-        """Standard deviations of K, B and I by curvature, shape (3,); 0 at a bound."""
-        spread = self.turns[:3] @ np.linalg.pinv(self.precision, hermitian=True) @ self.turns[:3].T
-        return np.asarray(np.sqrt(np.maximum(np.diag(spread), 0.0)))
+    def sds(self) -> dict[str, float]:
+        """Standard deviations of the free parameters by curvature; 0 at a bound."""
+        spread = self.turns @ np.linalg.pinv(self.precision, hermitian=True) @ self.turns.T
+        sds = np.sqrt(np.maximum(np.diag(spread), 0.0))
+        return dict(zip(self.problem.names, sds.tolist(), strict=True))
 
 
 @dataclass(frozen=True, eq=False)

@@ -40,15 +40,14 @@ class WeighedSet:
         In nats, its equations taken to be exact.
     error : float
         Share of the response's energy that it leaves, of all trials in the compared band.
-    joint_sd : tuple of float
-        Standard deviations of K, B and I [Nm/rad, Nms/rad, kg m²] by the curvature of the
-        posterior; 0 at a bound.
+    sds : mapping of str to float
+        Standard deviations of the free parameters by the curvature of the posterior; 0 at a bound.
     """
 
     candidate: Candidate
     log_evidence: float
     error: float
-    joint_sd: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    sds: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)

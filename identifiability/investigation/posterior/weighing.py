@@ -347,8 +347,7 @@ class Weighing:
         """A model as it was weighed, for those who look at it later."""
         candidate = unfitted(found.model, found.values, found.refined, found.scheme)
         error = (found.weights.estimate.rms / self.evaluator.band.scale) ** 2
-        K, B, I = map(float, found.joint_sd)
-        return WeighedSet(candidate, found.log_evidence, error, (K, B, I))
+        return WeighedSet(candidate, found.log_evidence, error, found.sds)
 
     def _forms(self, ranked: Sequence[Keys]) -> _Forms:
         """The sets that come near, with their equations inexact, and with something unknown."""
