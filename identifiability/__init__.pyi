@@ -2,6 +2,7 @@ from .benchmark.cases import CaseSpec, HiddenCase, hidden_cases
 from .benchmark.protocol import Recorder
 from .errors import InputError
 from .inference.archive import to_datatree, write_netcdf
+from .inference.consistency import Consistency, Disagreement, Reading, consistency
 from .inference.curvature import Curvature, curvature, largest_change
 from .inference.fitting import Fit, fit, fit_simplex
 from .inference.likelihood.coloured import Colour, ColourArrays
@@ -26,6 +27,7 @@ from .investigation.fits.candidate import Candidate, Residual
 from .investigation.fits.kept import OnDisk
 from .investigation.investigate import investigate
 from .investigation.ladder.found import Found, Missing, Tried
+from .investigation.models import FittedModel, fitted_models
 from .investigation.next_experiment import Design, Limits, NextExperiment
 from .investigation.posterior.claim import Claim
 from .investigation.posterior.discrepancy import Discrepant
@@ -170,6 +172,10 @@ __all__ = [  # noqa: RUF022 -- in the order of use
     "fit_recordings",
     "RecordingFit",
     "WindowFit",
+    "consistency",
+    "Consistency",
+    "Disagreement",
+    "Reading",
     "HeldOut",
     "Goodness",
     "investigate",
@@ -191,6 +197,8 @@ __all__ = [  # noqa: RUF022 -- in the order of use
     "WeighedSet",
     "Tried",
     "Missing",
+    "fitted_models",
+    "FittedModel",
     "Found",
     "Detectable",
     "Unexplained",

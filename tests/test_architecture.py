@@ -151,6 +151,7 @@ ROOMS = (
     ("verdict",),
     ("next_experiment",),
     ("findings",),
+    ("models",),
     ("wording",),
     ("session", "record"),
     ("investigate",),

@@ -31,5 +31,7 @@ def test_the_demo_finds_the_joint_that_was_made(tmp_path, capfd, monkeypatch):
     assert recording["vaf"] > 98
     K = {w["T"]: w["parameters"]["K"]["posterior_95"] for w in recording["windows"]}
     assert K[0.1][0] > K[0.2][1]
+    assert recording["consistency"]["kind"] == "depends on the window"
+    assert "it is not a property of this joint" in (out / "trials" / "report.html").read_text()
     assert (out / "investigation" / "report.html").stat().st_size > 10_000
     assert {p.name for p in out.iterdir()} == {"T100", "T200", "trials", "investigation"}

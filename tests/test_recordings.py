@@ -10,6 +10,7 @@ import scipy.io
 
 from identifiability.cli.main import main
 from identifiability.inference import recordings
+from identifiability.inference.consistency import consistency
 from identifiability.inference.fitting import explore, fit
 from identifiability.inference.problem import Prior
 from identifiability.inference.recordings import (
@@ -65,6 +66,7 @@ def test_imposed_angle_windows_agree_with_the_whole(angle_fit):
     window = angle_fit.windows[0]
     assert window.n_windows == 9
     assert window.widths["K"].optimum == pytest.approx(K, rel=0.02)
+    assert consistency(angle_fit).kind == "the same"
 
 
 @pytest.mark.parametrize("driven", ["torque", "angle"])

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import asdict
 from typing import Any
 
+from identifiability.inference.consistency import consistency
 from identifiability.inference.recordings import RecordingFit
 from identifiability.inference.widths import Widths
 from identifiability.provenance import stamp
@@ -49,6 +51,7 @@ def fit_record(result: RecordingFit) -> dict[str, Any]:
             "settled": noisy.settled,
             "attenuation_corrected": noisy.corrected,
         },
+        "consistency": asdict(consistency(result)),
         "least_squares": {n: result.least_squares[n] for n in result.least_squares.names},
         "E": result.goodness.error,
         "vaf": result.goodness.vaf,

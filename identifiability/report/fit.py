@@ -1,17 +1,21 @@
-"""A fit of recorded trials as text, and its record, posterior and figures in a folder."""
+"""A fit of recorded trials as text and page, and its record, posterior and figures in a folder."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 
-from identifiability.files import write_json
+from identifiability.files import write_json, write_text
 from identifiability.inference.archive import write_netcdf
+from identifiability.inference.consistency import Consistency, consistency
 from identifiability.inference.recordings import Goodness, RecordingFit
 from identifiability.inference.records import fit_record
+from identifiability.joint.parameters import plus_minus
 from identifiability.plots.corner import corner_figure
 from identifiability.plots.recording import overlay_figure, windows_figure
 from identifiability.plots.style import save
-from identifiability.report.widths import widths_text
+from identifiability.report.page import Page
+from identifiability.report.widths import width_in_words, widths_text
 
 
 def write_fit(result: RecordingFit, out: Path) -> list[str]:
@@ -29,7 +33,104 @@ def write_fit(result: RecordingFit, out: Path) -> list[str]:
         save(figure, out / name)
     write_netcdf(result.problem, result.widths, out / "posterior.nc")
     write_json(out / "fit.json", fit_record(result))
-    return ["fit.json", *figures, "posterior.nc"]
+    write_text(out / "report.html", _page(result, title, out, list(figures)).render())
+    return ["report.html", "fit.json", *figures, "posterior.nc"]
+
+
+def answer(found: Consistency) -> str:
+    """Whether K, B and I are properties of what was recorded, in a sentence or two."""
+    if found.kind == "the same":
+        return (
+            f"K, B and I are the same in whole records, in windows of {_times(found.windows)} and "
+            "by least squares, as far as their uncertainties tell."
+        )
+    if found.kind == "not tested":
+        return (
+            "K, B and I of whole records agree with least squares; whether they depend on the "
+            "window was not tested (--window)."
+        )
+    one, *others = found.notable
+    first, second = (f"{plus_minus(r.value, r.sd)} {one.unit}" for r in (one.first, one.second))
+    if found.kind == "depends on the weights":
+        said = (
+            f"{one.name} is {first} where every sample weighs alike, and {second} weighed by the "
+            "noise"
+        )
+    else:
+        falls = "falls" if one.second.value < one.first.value else "rises"
+        until = one.second.window
+        said = (
+            f"{one.name} {falls} from {first} to {second} as the window grows from "
+            f"{_times([one.first.window or 0.0])} to "
+            + ("whole records" if until is None else _times([until]))
+        )
+    also = f" Neither {'is' if len(others) == 1 else 'are'} " + " and ".join(o.name for o in others)
+    return (
+        f"{said}: it is not a property of this joint."
+        + (f"{also}." if others else "")
+        + " What K, B and I miss: identifiability investigate, with the same files."
+    )
+
+
+def _times(windows: Sequence[float]) -> str:
+    *most, last = [f"{1000 * w:g}" for w in windows]
+    return (f"{', '.join(most)} and " if most else "") + f"{last} ms"
+
+
+_CAPTIONS = {
+    "overlay.png": "What was imposed, what was measured and fitted, and what the fit leaves.",
+    "windows.png": "K, B and I by window, with 95 % intervals; grey: whole records.",
+    "corner.png": "Posterior of K, B and I, with the ellipse of the quadratic estimate.",
+}
+_WIDTHS = ("slice", "quadratic", "gauss_newton", "sandwich", "profile", "posterior_sd")
+
+
+def _page(result: RecordingFit, title: str, out: Path, figures: Sequence[str]) -> Page:
+    """The report: answer, parameters by every way to fit them, figures."""
+    page = Page(f"K, B and I of {title}")
+    page.box([answer(consistency(result))])
+    rows, held, least = result.widths.rows, result.held_out, result.least_squares
+    vaf = f"{result.goodness.vaf:.2f}"
+    table = [["whole records", *(plus_minus(r.optimum, r.posterior_sd) for r in rows), ""]]
+    for w in result.windows:
+        values = [plus_minus(r.optimum, r.posterior_sd) for r in w.widths.rows]
+        table.append([f"windows of {_times([w.window])}", *values, f"{w.goodness.vaf:.2f}"])
+    table.append(["whole records, least squares", *(plus_minus(least[r.name]) for r in rows), vaf])
+    if held is not None:
+        values = [plus_minus(held.fit[r.name]) for r in rows]
+        vaf = f"{held.goodness_held_out.vaf:.2f} on {held.held_out}"
+        table.append([f"{held.fitted}, least squares", *values, vaf])
+    page.table(
+        ["fitted to", *(f"{r.name} [{r.unit}]" for r in rows), "VAF [%]"],
+        table,
+        text_columns=(0, 4),
+    )
+    page.paragraph(
+        "± is one standard deviation of the posterior, with level and colour of the noise of both "
+        "channels estimated beside K, B and I. It is the uncertainty of K, B and I only if the "
+        "joint is K, B and I: what the model misses counts as noise."
+    )
+    page.items([*_noise_lines(result), *(f"note: {warning}" for warning in result.warnings)])
+    for name in figures:
+        page.figure((out / name).read_bytes(), _CAPTIONS[name], alt=_CAPTIONS[name])
+    page.heading("Whether the ellipse is the width")
+    page.paragraph(
+        "Standard deviations: slice (all others held), quadratic (the paper's estimate, by the "
+        "full Hessian, by Gauss-Newton and as sandwich), profile and posterior."
+    )
+    page.table(
+        ["parameter", *(w.replace("_", " ").replace(" sd", "") for w in _WIDTHS), "the ellipse"],
+        [
+            [
+                f"{r.name} [{r.unit}]",
+                *(f"{getattr(r, w):.3g}" for w in _WIDTHS),
+                f"{width_in_words(r.verdict)}: {r.reason}",
+            ]
+            for r in rows
+        ],
+        text_columns=(7,),
+    )
+    return page
 
 
 def fit_text(result: RecordingFit) -> str:
@@ -45,6 +146,8 @@ def fit_text(result: RecordingFit) -> str:
         for row in result.widths.rows
     )
     lines = [
+        answer(consistency(result)),
+        "",
         widths_text(result.widths),
         "",
         *_noise_lines(result),
@@ -52,7 +155,7 @@ def fit_text(result: RecordingFit) -> str:
         f"the two are apart by so many widths: {apart}",
     ]
     for row in result.widths.rows:
-        lines.append(f"{row.name}: {row.verdict}, {row.reason}")
+        lines.append(f"width of {row.name}: {width_in_words(row.verdict)}, {row.reason}")
     for w in result.windows:
         values = ", ".join(
             f"{r.name} {r.optimum:.4g} ± {r.posterior_sd:.2g}" for r in w.widths.rows

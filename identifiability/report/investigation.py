@@ -36,6 +36,7 @@ from identifiability.plots.investigation_where import (
 from identifiability.plots.style import save
 from identifiability.report.models import models_table, models_text
 from identifiability.report.page import Page
+from identifiability.report.widths import width_in_words
 
 _ROWS = 6  # sets listed in the terminal, at most
 _SHOWN = 0.005  # probability from which a set is listed
@@ -87,7 +88,7 @@ def investigation_text(findings: Findings) -> str:
             low, high, source = interval(row)
             lines.append(
                 f"{row.name} = {row.optimum:.4g} (95 % by {source}: {low:.4g} to {high:.4g}): "
-                f"{row.verdict}"
+                f"{width_in_words(row.verdict)}"
             )
         loose = not_pinned_down(findings.widths, findings.split.rules.loose)
         lines += ["", *map(loose_sentence, loose)]
@@ -400,7 +401,7 @@ def _widths_table(page: Page, found: Widths) -> None:
             _number(row.profile),
             "" if row.verdict == "not converged" else _number(row.posterior_sd),
             "{:.4g} to {:.4g} ({})".format(*interval(row)),
-            f"{row.verdict}: {row.reason}",
+            f"{width_in_words(row.verdict)}: {row.reason}",
         ]
         for row in found.rows
     ]

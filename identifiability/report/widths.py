@@ -39,6 +39,11 @@ def write_widths(
     write_json(out / "widths.json", widths_record(result, conditions or {}))
 
 
+def width_in_words(verdict: str) -> str:
+    """What a verdict on a width says: of the ellipse, not of the parameter."""
+    return "ellipse holds" if verdict == "agrees" else verdict
+
+
 def widths_text(result: Widths) -> str:
     """All widths side by side, as text."""
     columns = [
@@ -51,9 +56,9 @@ def widths_text(result: Widths) -> str:
         ("posterior", "posterior_sd"),
         ("quadrature", "quadrature_sd"),
     ]
-    head = f"{'':24}" + "".join(f"{title:>11}" for title, _ in columns) + "  verdict"
+    head = f"{'':24}" + "".join(f"{title:>11}" for title, _ in columns) + "  width"
     lines = [head]
     for row in result.rows:
         cells = "".join(f"{getattr(row, field):>11.4g}" for _, field in columns)
-        lines.append(f"{row.name + ' [' + row.unit + ']':24}{cells}  {row.verdict}")
+        lines.append(f"{row.name + ' [' + row.unit + ']':24}{cells}  {width_in_words(row.verdict)}")
     return "\n".join(lines)
