@@ -36,14 +36,18 @@ def test_every_kind_is_there_in_both_causalities(record):
         assert tuple(r["interval"]) == wilson(r["covered"], r["n"])
 
 
-def test_the_readme_quotes_the_record(record):
-    readme = " ".join((ROOT / "README.md").read_text(encoding="utf-8").split())
+def test_what_is_written_quotes_the_record(record):
+    readme, page = (
+        " ".join((ROOT / name).read_text(encoding="utf-8").split())
+        for name in ("README.md", "docs/your_own_data.md")
+    )
     rows = record["rows"]
     covered, n = (sum(r[key] for r in rows) for key in ("covered", "n"))
-    assert f"{100 * covered / n:.1f} % of {n} intervals" in readme
+    for text in (readme, page):
+        assert f"{100 * covered / n:.1f} % of {n} intervals" in text
     low, high = record["mark"]
     inside = sum(low <= r["covered"] / r["n"] <= high for r in rows)
-    assert f"{inside} of {len(rows)} rows" in readme
+    assert f"{inside} of {len(rows)} rows" in page
 
 
 def test_what_is_not_covered_is_marked(record):

@@ -36,12 +36,12 @@ def run(options: argparse.Namespace) -> int:
     from identifiability.inference.recordings import fit_recordings
     from identifiability.inference.widths import widths
     from identifiability.investigation.investigate import investigate
-    from identifiability.investigation.wording.verdict import verdict_sentence
     from identifiability.measurement.example import B_CE, INERTIA, K_CE, K_SE, example_trials
     from identifiability.measurement.perturbations import WINDOWS, Impulse
-    from identifiability.report.fit import fit_text, write_fit
-    from identifiability.report.investigation import investigation_text, write_investigation
-    from identifiability.report.widths import widths_text, write_widths
+    from identifiability.report.demo import demo_text, write_demo
+    from identifiability.report.fit import write_fit
+    from identifiability.report.investigation import write_investigation
+    from identifiability.report.widths import write_widths
     from identifiability.study.setting import Setting, measured_problem
 
     out = output_folder(options.out)
@@ -71,44 +71,12 @@ def run(options: argparse.Namespace) -> int:
             progress=lambda what, done, total: bar.set_description(f"what is missing, {what}"),
         )
         write_investigation(findings, out / "investigation", command="identifiability demo")
+        write_demo(recording, findings, out)
         bar.update()
 
-    stiffness = [f"{r['K'].optimum:.0f}" for r in results]
-    quadratic = [f"{r['K'].quadratic:.0f}" for r in results]
-    spread = [f"{r['K'].posterior_sd:.0f}" for r in results]
-    by_window = [w.widths["K"] for w in recording.windows]
-    before, after = findings.found.baseline.held_out, findings.found.final.held_out
-    truth = {"K": K_CE, "B": B_CE, "I": INERTIA, "series_tendon.stiffness": K_SE}
-    values = [
-        f"{name} = {value:.4g}" + (f" ({truth[name]:g})" if name in truth else "")
-        for name, value in findings.found.final.values.items()
-    ]
+    print(demo_text(list(zip(WINDOWS, results, strict=True)), recording, findings))
     print(
-        f"""
-What was found
-  One joint (contractile element {K_CE:g} Nm/rad, tendon {K_SE:g} Nm/rad), three stiffnesses:
-  K = {", ".join(stiffness)} Nm/rad for windows of 50, 100 and 200 ms. None of them is the joint's.
-  An error of measurement of E = 0.001 leaves K uncertain by (standard deviation)
-  {", ".join(quadratic)} Nm/rad by the paper's quadratic estimate, and by
-  {", ".join(spread)} Nm/rad when the posterior is sampled within physical bounds.
-  The shipped trials of the same joint, simulated with noise, give
-  K = {", ".join(f"{w.optimum:.0f} ± {w.posterior_sd:.1g}" for w in by_window)} Nm/rad
-  in these windows after the pulse, with a VAF of {recording.goodness.vaf:.2f} % over the whole:
-  a good fit of a wrong model.
-  {verdict_sentence(findings)}
-  With that E on the trial that was not fitted falls from {before.error:.2g} to
-  {after.error:.2g}, and the parameters, with the joint's own in brackets, are
-  {", ".join(values)}."""
-    )
-    for window, result in zip(WINDOWS, results, strict=True):
-        print(f"\nThe paper's setting, T = {1000 * window:g} ms: {result.verdict}; {result.reason}")
-        print(widths_text(result))
-    print("\nThe shipped trials (simulated, not measured)")
-    print(fit_text(recording))
-    print("\nWhat the fit misses")
-    print(investigation_text(findings))
-    print(
-        f"\nwritten: {out}/T50, T100, T200 and trials, with corner plots and figures, and\n"
-        f"{out}/investigation/report.html"
+        f"\nwritten: {out}/summary.svg, T50, T100, T200 and trials, with corner plots and figures,"
+        f"\n{out}/trials/report.html and {out}/investigation/report.html"
     )
     return 0

@@ -44,6 +44,7 @@ _STYLE: Any = {
     "image.cmap": MAP,
     "figure.constrained_layout.use": True,
     "savefig.dpi": DPI,
+    "svg.hashsalt": "identifiability",
 }
 
 
@@ -68,11 +69,11 @@ def save(figure: Figure, path: Path | str) -> Path:
     Path
     """
     path = Path(path)
-    # Without the writer's version the bytes of a PNG depend on the figure alone.
-    metadata = {"Software": None} if path.suffix == ".png" else None
+    # Without the writer's version, or the date, the bytes depend on the figure alone.
+    metadata = {".png": {"Software": None}, ".svg": {"Date": None, "Creator": None}}
     # Ticks are made while drawing, so the style is needed here too.
     with styled(), replacing(path) as temporary:
-        figure.savefig(temporary, dpi=DPI, metadata=metadata)
+        figure.savefig(temporary, dpi=DPI, metadata=metadata.get(path.suffix))
     return path
 
 
