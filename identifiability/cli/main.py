@@ -14,7 +14,16 @@ from identifiability.errors import InputError
 
 def parser() -> argparse.ArgumentParser:
     """Build the parser with all subcommands."""
-    from identifiability.cli import atlas, benchmark, demo, fit, investigate, paper, widths
+    from identifiability.cli import (
+        atlas,
+        benchmark,
+        demo,
+        fit,
+        investigate,
+        paper,
+        recordings,
+        widths,
+    )
 
     top = argparse.ArgumentParser(
         prog="identifiability",
@@ -22,7 +31,7 @@ def parser() -> argparse.ArgumentParser:
     )
     top.add_argument("--version", action=Version, nargs=0, help="print the version, and end")
     commands = top.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for module in (demo, fit, investigate, widths, paper, atlas, benchmark):
+    for module in (demo, fit, investigate, widths, paper, atlas, recordings, benchmark):
         module.add_parser(commands)
     return top
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Literal
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from identifiability.inference.curvature import NORMAL_95
-from identifiability.investigation.fits.candidate import Candidate
+from identifiability.investigation.fits.candidate import Candidate, Residual
 from identifiability.investigation.fits.refits import NAMES, UNITS
 from identifiability.investigation.split import Split
 from identifiability.investigation.where.compare import Comparison, Constancy
@@ -27,7 +28,13 @@ _BEFORE = 0.05  # seconds before the first perturbation that are shown
 _UNITS = {"torque": "rad", "angle": "Nm"}  # of the response to it
 
 
-def responses_figure(split: Split, before: Candidate, after: Candidate | None = None) -> Figure:
+def responses_figure(
+    split: Split,
+    before: Candidate,
+    after: Candidate | None = None,
+    *,
+    of: Literal["fitted", "held_out"] = "fitted",
+) -> Figure:
     """Measured and predicted responses of up to eight trials, and under each what is left.
 
     Where there are more, those are shown that the first model describes worst, each kind once
@@ -38,16 +45,19 @@ def responses_figure(split: Split, before: Candidate, after: Candidate | None = 
     split : Split
     before, after : Candidate
         Models whose predictions are drawn.
+    of : {"fitted", "held_out"}
+        Which trials.
 
     Returns
     -------
     Figure
     """
-    trials = split.fitted
-    shown = sorted(np.argsort(before.fitted.errors)[::-1][:_MOST_TRIALS].tolist())
-    models = [(before, _title(before), VERMILLION)]
+    trials: Sequence[Prepared] = getattr(split, of)
+    first: Residual = getattr(before, of)
+    shown = sorted(np.argsort(first.errors)[::-1][:_MOST_TRIALS].tolist())
+    models = [(first, _title(before), VERMILLION)]
     if after is not None:
-        models.append((after, _title(after), BLUE))
+        models.append((getattr(after, of), _title(after), BLUE))
     in_noise = split.has_noise and all(r.lead.sd > 0 for r in trials)
     unit = _UNITS[split.driven]
     n_columns = min(len(shown), _COLUMNS)
@@ -59,14 +69,9 @@ def responses_figure(split: Split, before: Candidate, after: Candidate | None = 
         for place, i in enumerate(shown):
             row, column = divmod(place, n_columns)
             upper, lower = axes[2 * row, column], axes[2 * row + 1, column]
-            _overlay(upper, lower, trials[i], [(m, m.fitted.by_trial[i], c) for m, _, c in models])
-            upper.set_title(f"{trials[i].name}, E = {before.fitted.errors[i]:.2g}", fontsize=10)
-            if after is not None:
-                upper.set_title(
-                    f"{trials[i].name}\nE = {before.fitted.errors[i]:.2g}, then "
-                    f"{after.fitted.errors[i]:.2g}",
-                    fontsize=10,
-                )
+            _overlay(upper, lower, trials[i], [(m.by_trial[i], c) for m, _, c in models])
+            errors = ", then ".join(f"{left.errors[i]:.2g}" for left, _, _ in models)
+            upper.set_title(f"{trials[i].name}\nE = {errors}", fontsize=10)
             if column == 0:
                 upper.set_ylabel("angle [rad]" if unit == "rad" else "torque [Nm]")
                 lower.set_ylabel("residual /\nnoise" if in_noise else f"residual\n[{unit}]")
@@ -87,7 +92,7 @@ def responses_figure(split: Split, before: Candidate, after: Candidate | None = 
 
 
 def _overlay(
-    upper: Axes, lower: Axes, ready: Prepared, models: Sequence[tuple[Candidate, np.ndarray, str]]
+    upper: Axes, lower: Axes, ready: Prepared, models: Sequence[tuple[np.ndarray, str]]
 ) -> None:
     interval = ready.drive.interval
     first = max(0, int(starts(ready)[0]) - round(_BEFORE / interval))
@@ -96,7 +101,7 @@ def _overlay(
     measured = ready.compared
     noise = ready.lead.sd if ready.lead.n_samples and ready.lead.sd > 0 else 1.0
     upper.plot(time, measured[part], color=BLACK, lw=3.0, alpha=0.55)
-    for (_, left, colour), width in zip(models, (1.6, 1.2), strict=False):
+    for (left, colour), width in zip(models, (1.6, 1.2), strict=False):
         upper.plot(time, (measured - left)[part], color=colour, lw=width)
         lower.plot(time, (left / noise)[part], color=colour, lw=0.9)
     if noise != 1.0:

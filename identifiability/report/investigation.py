@@ -114,7 +114,7 @@ def write_report(findings: Findings, record: dict[str, Any], out: Path) -> list[
     """
     page = Page("What does the joint model miss?")
     figures = _Figures(page, out)
-    _verdict(page, findings)
+    _verdict(page, figures, findings)
     _data_and_model(page, figures, findings)
     _where(page, figures, findings)
     _which(page, figures, findings)
@@ -133,7 +133,7 @@ def _failed(page: Page, findings: Findings, part: str) -> None:
         page.paragraph(f"This part could not be done: {findings.failures[part]}.")
 
 
-def _verdict(page: Page, findings: Findings) -> None:
+def _verdict(page: Page, figures: _Figures, findings: Findings) -> None:
     split = findings.split
     page.paragraph(
         f"{len(split.fitted)} trial(s) fitted, {len(split.held_out)} held out "
@@ -145,6 +145,16 @@ def _verdict(page: Page, findings: Findings) -> None:
         box.append(f"Next: {next_experiment_sentence(findings.next_experiment)}")
     page.box(box)
     models_table(page, findings)
+    if split.held_out:
+        found = findings.found
+        figures.show(
+            "held_out",
+            lambda: responses_figure(
+                split, found.baseline, found.final if found.missing else None, of="held_out"
+            ),
+            "Trials that no model was fitted to, what each predicts, and under each what is left"
+            + (", over the noise (grey: 95 % of it)." if split.has_noise else "."),
+        )
     page.items(words.because(findings))
     if findings.warnings:
         page.heading("What could not be done")

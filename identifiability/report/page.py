@@ -28,6 +28,16 @@ tr.failed td { color: #a33; }
 img { max-width: 100%; height: auto; }
 figure { margin: 1rem 0; }
 figcaption { color: #444; font-size: .93rem; max-width: 46rem; }
+@page { size: A4; margin: 14mm; }
+@media print {
+  body { font-size: 10pt; max-width: none; padding: 0; }
+  .scroll { overflow: visible; }
+  table { font-size: 7.5pt; }
+  th, td { white-space: normal; padding: .15rem .3rem; }
+  td.text, td.text:last-child { min-width: 0; overflow-wrap: anywhere; }
+  figure, .verdict, tr { break-inside: avoid; }
+  h2 { break-after: avoid; }
+}
 code { background: #f4f4f4; padding: .1rem .3rem; overflow-wrap: anywhere; }
 """
 

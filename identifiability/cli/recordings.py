@@ -1,0 +1,88 @@
+"""``identifiability recordings``: real recordings, their sources, and what is found in them."""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import sys
+from pathlib import Path
+from typing import Any
+
+from identifiability.cli.exits import PARTIAL
+from identifiability.cli.options import with_examples
+from identifiability.errors import InputError
+
+
+def add_parser(commands: Any) -> None:
+    """Add the subcommand."""
+    parser = commands.add_parser(
+        "recordings",
+        help="real recordings that the package knows, and what it finds in them",
+        description="List the real recordings that are known, with source, licence and checksum; "
+        "with --folder check the files that are there; with --out investigate each of them, by "
+        "default settings, and write recordings.md. What is finished is not done again.",
+        **with_examples(
+            "recordings",
+            "recordings --folder downloads",
+            "recordings --folder downloads --only ankle silverbox --out results",
+        ),
+    )
+    parser.add_argument("--folder", type=Path, metavar="DIR", help="where the files are")
+    parser.add_argument("--only", nargs="+", metavar="NAME", help="some of them (all)")
+    parser.add_argument("--out", type=Path, metavar="DIR", help="folder for what is found")
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the subcommand."""
+    from identifiability.benchmark.real import REAL, finished, known, summary
+    from identifiability.files import output_folder, write_json, write_text
+    from identifiability.report.recordings import recordings_list, recordings_page
+
+    chosen = [known(name) for name in options.only] if options.only else list(REAL.values())
+    if options.folder is None:
+        if options.out is not None:
+            raise InputError("found --out without --folder, expected the folder of the files")
+        print(recordings_list())
+        return 0
+    if not options.folder.is_dir():
+        raise InputError(f"found no folder {options.folder}, expected that of the files")
+    states = {one.name: one.state(options.folder) for one in REAL.values()}
+    if options.out is None:
+        print(recordings_list(states))
+        return 0
+    out = output_folder(options.out)
+    pictures = output_folder(out / "recordings")
+    found, failed = [], False
+    for one in chosen:
+        if states[one.name] != "found":
+            print(f"{one.name}: {states[one.name]}; {one.source}", file=sys.stderr)
+            continue
+        folder = pictures / one.name
+        record = finished(folder)
+        if record is None:
+            why = _investigate([str(options.folder / one.file), *one.options], folder)
+            record = finished(folder)
+            if record is None:
+                found.append({"name": one.name, "failure": why})
+                failed = True
+                continue
+        found.append(summary(one, record))
+        shutil.copy(folder / "overlay.png", pictures / f"{one.name}.png")
+    write_json(out / "recordings.json", {"recordings": found})
+    write_text(out / "recordings.md", recordings_page(found))
+    print(f"written: {out}/recordings.md, recordings.json")
+    return PARTIAL if failed else 0
+
+
+def _investigate(arguments: list[str], folder: Path) -> str:
+    """Investigate one recording as a user would; returns why it could not be, if so."""
+    from identifiability.cli.main import parser
+
+    print(f"== {folder.name}", file=sys.stderr, flush=True)
+    options = parser().parse_args(["investigate", *arguments, "--no-widths", "--out", str(folder)])
+    try:
+        options.run(options)
+    except InputError as error:
+        return str(error)
+    return "its record is of other code"

@@ -1,0 +1,86 @@
+"""The page of real recordings, and the command that makes it; the files are not needed."""
+
+import hashlib
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from identifiability.benchmark import real
+from identifiability.cli.main import main
+from identifiability.report.recordings import recordings_page
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+@pytest.fixture(scope="module")
+def found():
+    return json.loads((ROOT / "results" / "recordings.json").read_text())["recordings"]
+
+
+def test_the_page_is_that_of_the_record(found):
+    page = (ROOT / "results" / "recordings.md").read_text(encoding="utf-8")
+    assert page == recordings_page(found)
+    for record in found:
+        assert (ROOT / "results" / "recordings" / f"{record['name']}.png").is_file()
+
+
+def test_the_list_says_where_from_and_what_is_at_hand(capsys, tmp_path):
+    assert main(["recordings"]) == 0
+    said = capsys.readouterr().out
+    for one in real.REAL.values():
+        assert one.sha256 in said
+        assert one.source in said
+        assert one.licence in said
+    (tmp_path / real.REAL["ankle"].file).write_bytes(b"something else")
+    assert main(["recordings", "--folder", str(tmp_path)]) == 0
+    said = capsys.readouterr().out
+    assert "ankle [different]" in said
+    assert "silverbox [missing]" in said
+
+
+def test_one_that_cannot_be_investigated_takes_no_other_with_it(capsys, tmp_path, monkeypatch):
+    folder, out = tmp_path / "files", tmp_path / "out"
+    folder.mkdir()
+    text = b"time_s,torque_Nm\n0,1\n"
+    (folder / "broken.csv").write_bytes(text)
+    broken = replace(
+        real.REAL["ankle"],
+        name="broken",
+        file="broken.csv",
+        sha256=hashlib.sha256(text).hexdigest(),
+        options=(),
+    )
+    monkeypatch.setitem(real.REAL, "broken", broken)
+    code = main(["recordings", "--folder", str(folder), "--out", str(out)])
+    assert code == 3
+    (record,) = json.loads((out / "recordings.json").read_text())["recordings"]
+    assert record["name"] == "broken"
+    assert "angle" in record["failure"]
+    assert f"failed: {record['failure']}" in (out / "recordings.md").read_text()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--only", "elbow"], "found the recording elbow"),
+        (["--folder", "nowhere"], "found no folder nowhere"),
+        (["--out", "somewhere"], "without --folder"),
+    ],
+)
+def test_bad_options_are_one_sentence(arguments, message, capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert main(["recordings", *arguments]) == 2
+    assert message in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_other_code_found_is_not_taken(tmp_path):
+    assert real.finished(tmp_path) is None
+    record = {"code": "0" * 32, "code_of": "identifiability.investigation.record"}
+    (tmp_path / "investigation.json").write_text(json.dumps(record))
+    assert real.finished(tmp_path) is None
+    record["code"] = real.code_fingerprint("identifiability.investigation.record")
+    (tmp_path / "investigation.json").write_text(json.dumps(record))
+    assert real.finished(tmp_path) == record
