@@ -50,7 +50,9 @@ def test_one_that_cannot_be_investigated_takes_no_other_with_it(capsys, tmp_path
         name="broken",
         file="broken.csv",
         sha256=hashlib.sha256(text).hexdigest(),
-        options=(),
+        columns=(),
+        variable=None,
+        rate=None,
     )
     monkeypatch.setitem(real.REAL, "broken", broken)
     code = main(["recordings", "--folder", str(folder), "--out", str(out)])

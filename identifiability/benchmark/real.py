@@ -8,11 +8,13 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 from identifiability.errors import InputError
+from identifiability.measurement.readers import parse_columns, read_trial
+from identifiability.measurement.trials import Trial
 from identifiability.provenance import code_fingerprint
 
 _INVESTIGATION = "identifiability.investigation.investigate"
@@ -34,8 +36,11 @@ class RealRecording:
         Where it is from, and what may be done with it.
     known_for : str
         What its joint is known to have, by those who built or measured it.
-    options : tuple of str
-        Of `identifiability investigate`, besides the file.
+    columns : tuple of str
+        Where quantity and unit are, as `parse_columns` reads them.
+    driven : {"torque", "angle"}
+    variable, rate, restoring
+        As of `read_trial`.
     """
 
     name: str
@@ -45,12 +50,31 @@ class RealRecording:
     source: str
     licence: str
     known_for: str
-    options: tuple[str, ...] = field(default=())
+    columns: tuple[str, ...] = ()
+    driven: Literal["torque", "angle"] = "angle"
+    variable: str | None = None
+    rate: float | None = None
+    restoring: bool = False
 
     @property
     def command(self) -> str:
         """The command that investigates it."""
-        return " ".join(["identifiability investigate", self.file, *self.options])
+        parts = ["identifiability investigate", self.file, "--driven", self.driven]
+        parts += ["--variable", self.variable] if self.variable else []
+        parts += ["--rate", f"{self.rate:g}"] if self.rate else []
+        parts += ["--columns", *self.columns] if self.columns else []
+        return " ".join([*parts, "--restoring"] if self.restoring else parts)
+
+    def read(self, folder: Path) -> Trial:
+        """Read the file."""
+        return read_trial(
+            folder / self.file,
+            columns=parse_columns(list(self.columns)) if self.columns else None,
+            variable=self.variable,
+            rate=self.rate,
+            restoring=self.restoring,
+            driven=self.driven,
+        )
 
     def state(self, folder: Path) -> State:
         """Whether the file is at hand, and the one that is known here."""
@@ -61,10 +85,7 @@ class RealRecording:
         return "found" if same else "different"
 
 
-_PENDULUM = (
-    *("--driven", "angle", "--columns"),
-    *("time=time:s", "angle=position:rad", "torque=torque:Nm"),
-)
+_PENDULUM = ("time=time:s", "angle=position:rad", "torque=torque:Nm")
 _SIMPLE = "DFKI, torque_limited_simple_pendulum, results/control_method_{}/data_measured.csv"
 
 REAL = {
@@ -99,10 +120,7 @@ REAL = {
             "20230629-143906",
             "BSD-3-Clause, DFKI 2022",
             "dry friction",
-            (
-                *("--driven", "angle", "--columns", "time=time:s", "angle=pos_meas1:rad"),
-                "torque=tau_meas1:Nm",
-            ),
+            ("time=time:s", "angle=pos_meas1:rad", "torque=tau_meas1:Nm"),
         ),
         RealRecording(
             "ankle",
@@ -112,10 +130,10 @@ REAL = {
             "McGill REKLAB, reklab_public, stiffnessID/z.mat",
             "of a GPL-2 repository; a healthy, consenting subject, approved by McGill's board",
             "a stretch reflex of one direction, some 50 ms late",
-            (
-                *("--variable", "z", "--rate", "1000", "--columns", "angle=0:rad", "torque=1:Nm"),
-                *("--driven", "angle", "--restoring"),
-            ),
+            ("angle=0:rad", "torque=1:Nm"),
+            variable="z",
+            rate=1000.0,
+            restoring=True,
         ),
         RealRecording(
             "damper",
@@ -126,10 +144,7 @@ REAL = {
             "(Coble, Huggins, Cao, Ricles & Downey 2022); JSON written as CSV",
             "CC BY-SA 4.0",
             "dry friction with elastic slip, and backlash",
-            (
-                *("--driven", "angle", "--columns", "time=time_s:s", "angle=displacement_in:rad"),
-                "torque=force_kip:Nm",
-            ),
+            ("time=time_s:s", "angle=displacement_in:rad", "torque=force_kip:Nm"),
         ),
         RealRecording(
             "silverbox",
@@ -140,7 +155,9 @@ REAL = {
             "biaslab, nsi-silverbox",
             "MIT (the copy)",
             "a cubic spring",
-            ("--rate", "610.35", "--columns", "torque=V1:Nm", "angle=V2:rad"),
+            ("torque=V1:Nm", "angle=V2:rad"),
+            driven="torque",
+            rate=610.35,
         ),
     )
 }

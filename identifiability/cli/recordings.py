@@ -6,11 +6,14 @@ import argparse
 import shutil
 import sys
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from identifiability.cli.exits import PARTIAL
 from identifiability.cli.options import with_examples
 from identifiability.errors import InputError
+
+if TYPE_CHECKING:
+    from identifiability.benchmark.real import RealRecording
 
 
 def add_parser(commands: Any) -> None:
@@ -61,7 +64,7 @@ def run(options: argparse.Namespace) -> int:
         folder = pictures / one.name
         record = finished(folder)
         if record is None:
-            why = _investigate([str(options.folder / one.file), *one.options], folder)
+            why = _investigate(one, options.folder, folder)
             record = finished(folder)
             if record is None:
                 found.append({"name": one.name, "failure": why})
@@ -75,14 +78,23 @@ def run(options: argparse.Namespace) -> int:
     return PARTIAL if failed else 0
 
 
-def _investigate(arguments: list[str], folder: Path) -> str:
-    """Investigate one recording as a user would; returns why it could not be, if so."""
-    from identifiability.cli.main import parser
+def _investigate(one: RealRecording, folder: Path, out: Path) -> str:
+    """Investigate one recording by default settings; returns why it could not be, if so."""
+    from identifiability.files import output_folder
+    from identifiability.investigation.fits.kept import OnDisk
+    from identifiability.investigation.investigate import investigate
+    from identifiability.report.investigation import write_investigation
 
-    print(f"== {folder.name}", file=sys.stderr, flush=True)
-    options = parser().parse_args(["investigate", *arguments, "--no-widths", "--out", str(folder)])
+    def announce(what: str, done: int, total: int) -> None:
+        count = f" {done}/{total}" if total > 1 else ""
+        print(f"{one.name}: {what}{count}", file=sys.stderr, flush=True)
+
+    fits = output_folder(out) / "fits"
     try:
-        options.run(options)
+        trial = one.read(folder)
+        found = investigate([trial], with_widths=False, kept=OnDisk(fits), progress=announce)
     except InputError as error:
         return str(error)
-    return "its record is of other code"
+    write_investigation(found, out, command=one.command)
+    shutil.rmtree(fits, ignore_errors=True)
+    return ""
