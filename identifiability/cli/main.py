@@ -18,6 +18,7 @@ def parser() -> argparse.ArgumentParser:
         atlas,
         benchmark,
         demo,
+        effects,
         fit,
         investigate,
         paper,
@@ -31,7 +32,7 @@ def parser() -> argparse.ArgumentParser:
     )
     top.add_argument("--version", action=Version, nargs=0, help="print the version, and end")
     commands = top.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for module in (demo, fit, investigate, widths, paper, atlas, recordings, benchmark):
+    for module in (demo, fit, investigate, widths, paper, atlas, effects, recordings, benchmark):
         module.add_parser(commands)
     return top
 

@@ -46,12 +46,17 @@ class ListEffects(argparse.Action):
 
     def __call__(self, parser: argparse.ArgumentParser, *unused: Any) -> None:
         """Print them."""
-        from identifiability.joint.effects import EFFECTS
-
-        width = max(map(len, EFFECTS))
-        for key, effect in EFFECTS.items():
-            print(f"{key:{width}}  {effect.place:7} {effect.title}")
+        print_effects()
         parser.exit()
+
+
+def print_effects() -> None:
+    """Print the effects that are known, with their places."""
+    from identifiability.joint.effects import EFFECTS
+
+    width = max(map(len, EFFECTS))
+    for key, effect in EFFECTS.items():
+        print(f"{key:{width}}  {effect.place:7} {effect.title}")
 
 
 def add_out_option(parser: argparse.ArgumentParser) -> None:
