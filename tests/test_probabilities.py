@@ -816,7 +816,8 @@ def test_what_is_there_whatever_else_is_stands_beside_something_unknown():
     assert found.present("coulomb_friction") == pytest.approx(0.9)
     claim = claim_of(found, EFFECTS, 0.95)
     assert (claim.kind, claim.present, claim.sets) == ("unknown", ("gravity",), ())
-    assert claim.effects == claim.present
+    # The error is shown with the most probable of them, as a clue.
+    assert claim.effects == found.unknown
     assert claim_of(found, EFFECTS, 0.85).present == ("coulomb_friction", "gravity")
     # Where nothing is sure, nothing is said to be; what comes nearest is shown.
     unsure = claim_of(replace(found, beside_unknown={(): 0.7}), EFFECTS, 0.95)

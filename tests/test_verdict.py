@@ -135,7 +135,23 @@ def test_what_comes_nearest_to_something_unknown_is_a_clue(split):
     assert found.found.final.keys == ("gravity",)
     assert found.verdict.sets == ()
     assert reason(found, "clue").numbers == pytest.approx({"gravity": 0.63})
-    assert "gravity 63 %. None of them is sure: treat them as a clue" in in_words(found)
+    assert "of which these are not sure: gravity 63 %. Treat them as a clue" in in_words(found)
+
+
+def test_beside_what_is_sure_the_most_probable_is_a_clue(split):
+    """The ladder goes on where one effect is sure and the next is not."""
+    beside = {("coulomb_friction", "gravity"): 0.6, ("coulomb_friction",): 0.4}
+    found = findings(
+        *(split, ((None, 1.0),), 0.8, "static"),
+        unknown=("coulomb_friction", "gravity"),
+        beside_unknown=beside,
+        sets=probabilities((("coulomb_friction", "gravity"), 1.0), (("coulomb_friction",), 0)).sets,
+    )
+    assert found.found.final.keys == ("coulomb_friction", "gravity")
+    assert reason(found, "whatever else").effects == ("coulomb_friction",)
+    assert reason(found, "clue").numbers == pytest.approx({"gravity": 0.6})
+    assert found.verdict.sets == ()
+    assert "coulomb_friction" not in reason(found, "clue").effects
 
 
 @pytest.mark.parametrize(
@@ -150,7 +166,7 @@ def test_probable_effects_that_leave_much_are_a_clue(keys, share, expected, spli
     found = findings(split, sure(*keys), share, "static")
     assert found.verdict.kind == expected
     assert bool(found.verdict.sets) == (share > RULES.explained_share)
-    assert ("treat them as a clue" in in_words(found)) != bool(found.verdict.sets)
+    assert ("reat them as a clue" in in_words(found)) != bool(found.verdict.sets)
     assert found.verdict.share == pytest.approx(share, abs=1e-3)
 
 

@@ -25,7 +25,8 @@ class Claim:
         sure enough.
     effects : tuple of str
         Of the model that the claim is shown by: those that are claimed; of effects that are not
-        sure enough, or that something unknown is beside, the most probable, as a clue.
+        sure enough, or that something unknown is beside, the most probable, as a clue. What is
+        unknown often keeps one of them from being sure, and without it there is little to see.
     present : tuple of str
         Beside something unknown, the effects that are there whatever else is.
     sets : tuple of tuple of str
@@ -63,7 +64,7 @@ def claim_of(posterior: Probabilities, library: Mapping[str, type[Effect]], shar
         return Claim("nothing", (), (), posterior.nothing)
     if any(row.effects is None for row in rows):
         there = _beside(posterior, share)
-        return Claim("unknown", there or posterior.unknown, (), posterior.none_of_these, there)
+        return Claim("unknown", posterior.unknown, (), posterior.none_of_these, there)
     sets = [row.effects or () for row in rows]
     slots = {effect: [effect] for effect in sets[0]}
     for other in sets[1:]:

@@ -115,9 +115,11 @@ def judge(
     if claim.present:
         there = {effect: posterior.present(effect) for effect in claim.present}
         reasons.append(Reason("whatever else", claim.present, there))
-    elif found.missing and not named:
-        clues = {m.key: posterior.present(m.key) for m in found.missing}
-        reasons.append(Reason("clue", tuple(clues), clues))
+    if not named:
+        clues = {
+            m.key: posterior.present(m.key) for m in found.missing if m.key not in claim.present
+        }
+        reasons += [Reason("clue", tuple(clues), clues)] if clues else []
     if claim.kind == "unknown" and posterior.description is not None:
         reasons.append(Reason("nearest form", (posterior.description,)))
     reasons.append(_errors(split, found))

@@ -207,8 +207,8 @@ def _whatever_else(reason: Reason, findings: Findings) -> str:
 def _clue(reason: Reason, findings: Findings) -> str:
     each = [f"{plain(key)} {percent(p)}" for key, p in reason.numbers.items()]
     return (
-        f"The error is shown with the effects that are most probable: {listed(each)}. None of them"
-        " is sure: treat them as a clue."
+        f"The error is shown with the most probable effects, of which these are not sure: "
+        f"{listed(each)}. Treat them as a clue."
     )
 
 
