@@ -199,14 +199,14 @@ def test_presentation_is_imported_by_nobody():
 def test_the_command_line_starts_without_heavy_imports(module):
     for imported in at_import(TREES[module]):
         if own(imported):
-            assert layer_of(imported) in {"cli", "errors", "files"}, imported
+            assert layer_of(imported) in {"cli", "errors", "files", "progress"}, imported
         else:
             assert imported.split(".")[0] in sys.stdlib_module_names, imported
 
 
 def test_subcommands_share_options_and_not_each_other():
     """The command line flows one way too; only the demonstration runs what it demonstrates."""
-    shared = {f"{PACKAGE}.cli.{name}" for name in ("options", "exits")}
+    shared = {f"{PACKAGE}.cli.{name}" for name in ("options", "exits", "clock")}
     for module, tree in TREES.items():
         if layer_of(module) != "cli" or module.endswith((".main", ".demo")):
             continue

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from typing import TYPE_CHECKING, Any
 
 from identifiability.cli.options import (
@@ -55,6 +54,7 @@ def add_parser(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the subcommand."""
+    from identifiability.cli.clock import clock
     from identifiability.files import output_folder
     from identifiability.inference.problem import Prior
     from identifiability.inference.recordings import fit_recordings
@@ -76,16 +76,12 @@ def run(options: argparse.Namespace) -> int:
         prior=prior,
         lowpass_hz=lowpass,
         seed=options.seed,
-        progress=_announce,
+        progress=clock(),
     )
     written = write_fit(result, out)
     print(fit_text(result))
     print(f"\nwritten: {out}/" + ", ".join(written))
     return 0
-
-
-def _announce(what: str, done: int, total: int) -> None:
-    print(f"[{done}/{total}] {what}", file=sys.stderr, flush=True)
 
 
 def _usual_windows(trials: list[Trial]) -> list[float]:

@@ -5,9 +5,8 @@ from __future__ import annotations
 import argparse
 import shutil
 import sys
-import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from identifiability.cli.options import (
     ListEffects,
@@ -23,9 +22,6 @@ from identifiability.cli.options import (
     with_examples,
 )
 from identifiability.errors import InputError
-
-if TYPE_CHECKING:
-    from identifiability.progress import Progress
 
 
 def add_parser(commands: Any) -> None:
@@ -74,6 +70,7 @@ def add_parser(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the subcommand."""
+    from identifiability.cli.clock import clock
     from identifiability.files import output_folder
     from identifiability.investigation.fits.kept import OnDisk
     from identifiability.investigation.investigate import investigate
@@ -106,7 +103,7 @@ def run(options: argparse.Namespace) -> int:
         with_widths=not options.no_widths,
         seed=options.seed,
         kept=OnDisk(fits),
-        progress=_clock(),
+        progress=clock(),
     )
     written = write_investigation(findings, out, command=_command())
     shutil.rmtree(fits, ignore_errors=True)
@@ -137,18 +134,6 @@ def _limits(texts: list[str], trials: list[Any]) -> Any:
             )
         limits[name] = number
     return Limits(**limits)
-
-
-def _clock() -> Progress:
-    began = time.monotonic()
-
-    def announce(what: str, done: int, total: int) -> None:
-        count = f" {done}/{total}" if total > 1 else ""
-        # In one piece: several threads report.
-        sys.stderr.write(f"[{time.monotonic() - began:5.0f} s] {what}{count}\n")
-        sys.stderr.flush()
-
-    return announce
 
 
 def _command() -> str:

@@ -80,19 +80,16 @@ def run(options: argparse.Namespace) -> int:
 
 def _investigate(one: RealRecording, folder: Path, out: Path) -> str:
     """Investigate one recording by default settings; returns why it could not be, if so."""
+    from identifiability.cli.clock import clock
     from identifiability.files import output_folder
     from identifiability.investigation.fits.kept import OnDisk
     from identifiability.investigation.investigate import investigate
     from identifiability.report.investigation import write_investigation
 
-    def announce(what: str, done: int, total: int) -> None:
-        count = f" {done}/{total}" if total > 1 else ""
-        print(f"{one.name}: {what}{count}", file=sys.stderr, flush=True)
-
     fits = output_folder(out) / "fits"
     try:
         trial = one.read(folder)
-        found = investigate([trial], with_widths=False, kept=OnDisk(fits), progress=announce)
+        found = investigate([trial], with_widths=False, kept=OnDisk(fits), progress=clock(one.name))
     except InputError as error:
         return str(error)
     write_investigation(found, out, command=one.command)
