@@ -10,7 +10,7 @@ from identifiability.investigation.smallest_seen.hidden import Hidden, Known
 from identifiability.joint.effects import EFFECTS
 from identifiability.joint.model import KBI
 
-QUICK = [("series_tendon", "torque"), ("short_range_stiffness", "angle")]
+QUICK = [("series_tendon", "torque"), ("series_tendon", "angle")]
 
 
 def study_of(model, values, seed, library, driven="torque"):
@@ -99,13 +99,15 @@ def test_evidence_of_a_slow_trace_grows_less_than_its_square():
 
 DRAWS = 20
 
-# On the safe side, but not sharp. For short-range stiffness a torque of hysteresis, no larger than
-# equations may be wrong by, makes up in some draws.
+# As they came out. For short-range stiffness, quadratic stiffness and friction a torque of any form,
+# no larger than equations may be wrong by, makes up for the trace in some draws and not in others.
 FAR = {
-    ("gravity", "torque"): "20 of 20 at the stated size, 12 of 20 at a third",
-    ("sensor_drift", "torque"): "20 of 20 at the stated size, 13 of 20 at a third",
-    ("short_range_stiffness", "angle"): "19 of 20 at the stated size, 9 of 20 at a third",
-    ("stretch_reflex", "angle"): "20 of 20 at the stated size, 10 of 20 at a third",
+    ("coulomb_friction", "torque"): "20 of 20 at the stated size, 7 of 20 at a third",
+    ("quadratic_stiffness", "angle"): "20 of 20 at the stated size, 10 of 20 at a third",
+    ("sensor_delay", "torque"): "15 of 20 at the stated size, 1 of 20 at a third",
+    ("sensor_drift", "torque"): "20 of 20 at the stated size, 6 of 20 at a third",
+    ("sensor_lowpass", "torque"): "15 of 20 at the stated size, 2 of 20 at a third",
+    ("short_range_stiffness", "angle"): "19 of 20 at the stated size, 8 of 20 at a third",
 }
 CASES = [
     pytest.param(key, driven, marks=[pytest.mark.xfail(reason=why)] if why else [])
