@@ -99,8 +99,8 @@ def test_evidence_of_a_slow_trace_grows_less_than_its_square():
 
 DRAWS = 20
 
-# As they came out. For short-range stiffness, quadratic stiffness and friction a torque of any form,
-# no larger than equations may be wrong by, makes up for the trace in some draws and not in others.
+# As they came out. For short-range stiffness, quadratic stiffness and friction a torque of any
+# form, no larger than equations may be wrong by, makes up for the trace in some draws only.
 FAR = {
     ("coulomb_friction", "torque"): "20 of 20 at the stated size, 7 of 20 at a third",
     ("quadratic_stiffness", "angle"): "20 of 20 at the stated size, 10 of 20 at a third",
