@@ -100,6 +100,7 @@ def test_a_perfect_joint_moved_with_corners_misses_nothing():
     assert study.claim(found).kind in ("effects", "unknown")
 
 
+@pytest.mark.long
 def test_an_effect_is_found_beside_corners():
     model = KBI() + EFFECTS["second_mass"]()
     values = JOINT | {"second_mass.inertia": 0.03, "second_mass.frequency": 8.0}

@@ -214,6 +214,7 @@ def test_the_missing_effect_is_found_and_the_error_falls_to_the_floor(cubic_stud
     assert found.alone[0].key == "cubic_stiffness"
 
 
+@pytest.mark.long
 def test_every_rung_leaves_less_than_the_one_before():
     model = KBI() + EFFECTS["cubic_stiffness"]() + EFFECTS["sensor_delay"]()
     values = CUBIC | {"sensor_delay.delay": 0.004}
@@ -284,6 +285,7 @@ def test_what_the_library_does_not_know_is_not_named():
     assert found.none_of_these > 0.95
 
 
+@pytest.mark.long
 def test_a_segment_shorter_than_any_is_not_gravity():
     # Within the reach of these trials an exponential spring is a pendulum's weight, of 8 mm.
     model = KBI() + EFFECTS["quadratic_stiffness"]()

@@ -190,6 +190,7 @@ def test_a_weighing_that_was_stopped_goes_on(tmp_path, monkeypatch):
     assert evaluated
 
 
+@pytest.mark.long
 def test_an_investigation_that_was_stopped_goes_on(tmp_path, fits):
     """And the same seed gives the same record: what is read was found a second time."""
     library = {"series_tendon": SeriesTendon}

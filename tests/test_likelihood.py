@@ -218,9 +218,10 @@ def test_unequal_rates_and_levels_are_fitted_together():
     assert np.all(np.abs(noisy.fit.values - joint) < 4 * sd)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("kind", "imposed"),
-    [("AR 0.99", "torque"), pytest.param("both channels", "angle", marks=pytest.mark.long)],
+    [("AR 0.99", "torque"), ("both channels", "angle")],
 )
 def test_errors_are_of_the_stated_size(kind, imposed):
     """Squared errors in stated widths are those of a Gaussian, within Monte Carlo error."""

@@ -263,6 +263,7 @@ def test_a_model_is_integrated_as_finely_as_telling_it_from_others_asks():
 # Starts
 
 
+@pytest.mark.long
 def test_shapes_are_sought_with_their_sizes_fitted():
     """The start that is carried on is the one whose sizes, fitted one shape at a time, do best."""
     reflex = StretchReflex(12.0, 0.5, 0.04, 0.012, 0.012, "critically_damped")
@@ -376,7 +377,9 @@ def whole_band(trials):
     return replace(evaluator, reference=reference, starts=starts)
 
 
-@pytest.mark.parametrize("key", ["sensor_lowpass", "second_mass"])
+@pytest.mark.parametrize(
+    "key", ["sensor_lowpass", pytest.param("second_mass", marks=pytest.mark.long)]
+)
 def test_noise_of_an_imposed_angle_does_not_pass_for_an_effect(key):
     """A filter makes the noise smaller, a resonance adds what it happens to look like."""
     model = KBI() + EFFECTS[key]()

@@ -10,7 +10,10 @@ from identifiability.investigation.smallest_seen.hidden import Hidden, Known
 from identifiability.joint.effects import EFFECTS
 from identifiability.joint.model import KBI
 
-QUICK = [("series_tendon", "torque"), ("series_tendon", "angle")]
+QUICK = [
+    ("series_tendon", "torque"),
+    pytest.param("series_tendon", "angle", marks=pytest.mark.long),
+]
 
 
 def study_of(model, values, seed, library, driven="torque"):
@@ -88,6 +91,7 @@ def test_noise_is_drawn_from_the_order_that_made_it(driven):
     assert (order.p, order.q) == (0, 0)
 
 
+@pytest.mark.long
 def test_evidence_of_a_slow_trace_grows_less_than_its_square():
     """Where noise may have its colour, and then draws differ less than in known noise."""
     hidden = hidden_in("gravity", "torque")

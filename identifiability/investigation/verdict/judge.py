@@ -33,13 +33,14 @@ Kind = Literal[
 ]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 
-# Kinds of verdict by the kind of torque that nothing names.
+# Kinds of verdict by the kind of torque that nothing names. What only looks like a filter or a drift
+# of the recorder may be the joint's: it is not said to be the measurement.
 _UNKNOWN: dict[str, Kind] = {
     "static": "unknown_static",
     "hysteresis": "unknown_memory",
     "memory": "unknown_memory",
-    "sensor": "measurement",
-    "drift": "measurement",
+    "sensor": "unknown_memory",
+    "drift": "unrepeatable",
     "unrepeatable": "unrepeatable",
     "varying": "unrepeatable",
     "none": "unrepeatable",
