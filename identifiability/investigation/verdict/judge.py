@@ -33,8 +33,8 @@ Kind = Literal[
 ]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 
-# Kinds of verdict by the kind of torque that nothing names. What only looks like a filter or a drift
-# of the recorder may be the joint's: it is not said to be the measurement.
+# Kinds of verdict by the kind of torque that nothing names. What only looks like a filter or a
+# drift of the recorder may be the joint's: it is not said to be the measurement.
 _UNKNOWN: dict[str, Kind] = {
     "static": "unknown_static",
     "hysteresis": "unknown_memory",
