@@ -35,9 +35,9 @@ from identifiability.joint.model import KBI, Model
 from identifiability.joint.scheme import Scheme
 
 _JOINT_RANGE = 4.0  # responses to K, B or I, over the measured one, that the prior spans
-# Of the response's energy that is noise, the mean of an exponential prior: more than a few percent
-# would be a poor recording. Without it noise of long memory may be the response itself.
-_NOISE_SHARE = 0.02
+NOISE_SHARE = 0.02
+"""Share of the response's energy that is noise, the mean of an exponential prior: more than a few
+percent would be a poor recording. Without it noise of long memory may be the response itself."""
 _DECADE = 10.0  # ratio of bounds from which a shape's prior is uniform by ratios
 _EVALUATIONS, _ROUNDS = 12, 2
 _SOLVER = 1.0  # squared error of the integration, all samples together, over the noise's
@@ -165,6 +165,24 @@ class Evaluated:
         spread = self.turns @ np.linalg.pinv(self.precision, hermitian=True) @ self.turns.T
         sds = np.sqrt(np.maximum(np.diag(spread), 0.0))
         return dict(zip(self.problem.names, sds.tolist(), strict=True))
+
+
+@dataclass(frozen=True, eq=False)
+class Begun:
+    """A fit by least squares that is only begun.
+
+    Attributes
+    ----------
+    problem : Problem
+    points : array, shape (n, n_free)
+        To go on from, the best first.
+    left : float
+        Sum of squares that is left there, over the variance of white noise.
+    """
+
+    problem: Problem
+    points: np.ndarray
+    left: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -310,6 +328,19 @@ class Evaluator:
         assert best is not None
         return best
 
+    def begun(self, model: Model, starts: Sequence[Mapping[str, float]]) -> Begun:
+        """The best starts of a fit by least squares, the sizes of effects fitted."""
+        problem = self.band.problem(model, probes=self.reference.probes)
+        points = np.array([problem.free_vector(values) for values in starts])
+        beginnings = Beginnings.of(problem, self.band, inside(problem, points))
+        best = beginnings.best(self.white, _CARRIED)
+        return Begun(problem, best, Weighed(problem, self.band, self.white).squares(best[0]))
+
+    def by_least_squares(self, begun: Begun) -> Evaluated:
+        """A model as it leaves least, whatever the colour of that."""
+        x = self.fitted(begun.problem, begun.points, self.white)
+        return self.evaluated(begun.problem, x, self.white)
+
     def fitted(self, problem: Problem, points: np.ndarray, weights: Weights) -> np.ndarray:
         """Best values of the free parameters in known noise, from given points."""
         weighed = Weighed(problem, self.band, weights)
@@ -369,7 +400,7 @@ class Evaluator:
         log_likelihood = -0.5 * (weighed.squares_of(white, probe) + weights.log_determinant)
         log_likelihood -= order * n / max(1, n - order - 2)
         log_evidence = (
-            -share / _NOISE_SHARE
+            -share / NOISE_SHARE
             + sum(p.log_density(value) for p, value in zip(priors, x, strict=True))
             + volume
             + log_likelihood

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from identifiability.inference.starts import refined_values, starting_values
 from identifiability.investigation.fits.candidate import Candidate
-from identifiability.investigation.posterior.evidence import Evaluated, Evaluator
+from identifiability.investigation.posterior.evidence import NOISE_SHARE, Evaluated, Evaluator
 from identifiability.investigation.posterior.kept import Evaluations
 from identifiability.investigation.posterior.probabilities import Probabilities
 from identifiability.investigation.posterior.signatures import strongest
+from identifiability.investigation.posterior.stepwise import Step, stepwise
 from identifiability.investigation.posterior.weighing import LOST, Job, Keys, Weighing
 from identifiability.investigation.rules import Rules
 from identifiability.joint.effects import Effect
@@ -45,7 +46,8 @@ def weigh(
     and does more than mend equations; so is one that comes near without the effect which does most
     in it: two effects may be taken for a third one and its correction.
     What was added last may be what was missing all along, and what was found before it a poor
-    picture of it: of a pair that leaves much less, both are enlarged.
+    picture of it: of a pair that leaves much less, both are enlarged. If the most probable set
+    leaves more than an instrument would, those that leave least are weighed as well.
 
     Parameters
     ----------
@@ -85,6 +87,8 @@ def weigh(
             if found is None or left is None or not search.was_poor(found):
                 break
             search.enlarge(left)
+    if search.leaves_much():
+        search.follow(stepwise(evaluator, weighing.found[()], library, most, progress), most)
     weighing.settle()
     weighing.describe()
     return weighing.posterior()
@@ -126,6 +130,28 @@ class _Search:
         near = [keys for keys in ranked if not self.weighing.is_far(keys, ranked[0])]
         self.weighing.take_up(near)
         self._refine(len(keys) + 1)
+
+    def leaves_much(self) -> bool:
+        """Whether the most probable set leaves more than the noise of a good recording."""
+        weighing = self.weighing
+        likely = weighing.found[max(weighing.found, key=weighing.score)]
+        share = (likely.weights.estimate.rms / weighing.evaluator.band.scale) ** 2
+        return share > NOISE_SHARE
+
+    def follow(self, steps: Iterable[Step], most: int) -> None:
+        """Weigh the sets on a way, and what may be added to those that are more probable.
+
+        Of sets that were weighed already, other values may be more probable.
+        """
+        known = {size: self.best(size) for size in range(1, most + 1)}
+        for step in steps:
+            self.add("what leaves least", [Job(step.model, [step.values])])
+        for size, before in known.items():
+            self._refine(size)
+            best = self.best(size)
+            new = best is not None and best != before and best not in self.enlarged
+            if best is not None and new and size < most and self.improves(best):
+                self.enlarge(best)
 
     def _enlarged(self, current: Evaluated, effect: Effect, alone: Mapping[str, float]) -> Job:
         """A set with one effect more, from its own values and the effect's alone."""

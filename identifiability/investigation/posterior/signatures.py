@@ -27,6 +27,7 @@ def strongest(
     effects: Mapping[str, type[Effect]],
     alone: Mapping[str, Mapping[str, float]],
     most: int,
+    plainly: bool = False,
 ) -> list[str]:
     """Effects of the strongest signatures, in the order of the library.
 
@@ -41,6 +42,8 @@ def strongest(
         Values of the parameters that effects had beside K, B and I, where they were fitted.
     most : int
         Number of effects to keep by each noise; together up to half as many more.
+    plainly : bool
+        Whether by white noise alone.
     """
     if len(effects) <= most:
         return list(effects)
@@ -54,7 +57,10 @@ def strongest(
             shapes.append({**alone[key], **joint})
         changes[key] = [_residual(evaluator, model, shape) - plain for shape in shapes]
     kept: set[str] = set()
-    for weights, n in ((found.weights, most), (evaluator.white, most // 2)):
+    noises = [(evaluator.white, most)]
+    if not plainly:
+        noises = [(found.weights, most), (evaluator.white, most // 2)]
+    for weights, n in noises:
         left = _Left(evaluator, found, weights)
         scores = {key: max(map(left.removed, mine)) for key, mine in changes.items()}
         kept |= set(sorted(scores, key=lambda key: -scores[key])[:n])

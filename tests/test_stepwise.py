@@ -1,0 +1,63 @@
+"""Effects that are added by least squares, whatever the colour of what is left."""
+
+import pytest
+from hidden import HELD, JOINT, trials
+
+from identifiability.investigation.posterior import search
+from identifiability.investigation.posterior.stepwise import stepwise
+from identifiability.investigation.session import Investigation
+from identifiability.joint.effects import EFFECTS
+from identifiability.joint.model import KBI
+
+KEYS = ("cubic_stiffness", "sensor_delay", "second_mass", "coulomb_friction")
+LIBRARY = {key: EFFECTS[key] for key in KEYS}
+VALUES = JOINT | {
+    "cubic_stiffness.coefficient": 120.0,
+    "cubic_stiffness.centre": 0.0,
+    "sensor_delay.delay": 0.004,
+}
+CONDITIONS = [("pulse", 8), ("pulse", -16), ("step", 4), ("step", -6)]
+
+
+def study_of(driven):
+    model = KBI() + EFFECTS["cubic_stiffness"]() + EFFECTS["sensor_delay"]()
+    size = 1.0 if driven == "torque" else 6.0
+    fitted, held = (
+        trials(model, VALUES, seed, conditions=c, driven=driven)
+        for seed, c in ((3, [(k, size * s) for k, s in CONDITIONS]), (4, HELD))
+    )
+    return Investigation(fitted, held, library=LIBRARY)
+
+
+@pytest.mark.parametrize("driven", ["torque", "angle"])
+def test_what_is_missing_leaves_least(driven):
+    study = study_of(driven)
+    evaluator = study._evaluator(1)
+    base = evaluator.evaluate(KBI(), [study.baseline.values])
+    steps = list(stepwise(evaluator, base, LIBRARY, 3))
+    sets = [set(step.model.effect_keys) for step in steps]
+    assert sets[1] == {"cubic_stiffness", "sensor_delay"}
+    # Three effects, then these without one of them each.
+    assert [len(keys) for keys in sets] == [1, 2, 3, 2, 2, 2]
+    assert all(keys < sets[2] for keys in sets[3:])
+    assert len({frozenset(keys) for keys in sets[3:]}) == 3
+    for name, value in VALUES.items():
+        if name != "cubic_stiffness.centre":
+            assert steps[1].values[name] == pytest.approx(value, rel=0.1)
+
+
+def test_it_is_looked_for_where_the_most_probable_set_leaves_much(monkeypatch):
+    """Not where that leaves no more than the noise of a good recording."""
+    looked = []
+
+    def none(*arguments):
+        looked.append(arguments)
+        return iter(())
+
+    monkeypatch.setattr(search, "stepwise", none)
+    noisy = trials(KBI(), JOINT, 3, noise=0.2), trials(KBI(), JOINT, 4, noise=0.2, conditions=HELD)
+    quiet = trials(KBI(), JOINT, 3), trials(KBI(), JOINT, 4, conditions=HELD)
+    library = {"cubic_stiffness": EFFECTS["cubic_stiffness"]}
+    for parts, expected in ((quiet, 0), (noisy, 1)):
+        Investigation(*parts, library=library).weigh()
+        assert len(looked) == expected
