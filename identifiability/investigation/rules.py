@@ -38,7 +38,8 @@ class Rules:
         Share of the misfit beyond the noise from which one function of the motion for all trials
         is preferred to what differs from trial to trial.
     trace_share : float
-        Share of what is left, below which an account of it explains nothing.
+        Share of what is left, below which an account of it explains nothing; nor does, beside
+        something unknown, a last effect that removes no more of the misfit.
     clear_latency : float
         Share of the margin by which a kind won that the log evidence of a latency must exceed,
         above `decisive_kind`, for the latency to be spoken of: in a kind that explains much, a

@@ -83,15 +83,14 @@ class Colour:
         weight, level = np.zeros((2, rows, most, longest))
         whitenings = [estimate.noise.whitening(longest) for estimate in self.noises]
         constants = [whitening(np.ones((longest, 1)))[:, 0] for whitening in whitenings]
-        lags = max(len(w.factor) for w in whitenings)
+        lags = max(w.factor.shape[1] for w in whitenings)
         ar = np.zeros((len(whitenings), longest, _FEW_LAGS))
         factor = np.zeros((len(whitenings), longest, _FEW_LAGS if lags <= _FEW_LAGS else _LAGS))
         for i, whitening in enumerate(whitenings):
             head = whitening.ar.size - 1
             ar[i, :head, 0] = 1.0
             ar[i, head:, : whitening.ar.size] = whitening.ar
-            for lag, diagonal in enumerate(whitening.factor[:longest]):
-                factor[i, lag:, lag] = diagonal[: longest - lag]
+            factor[i, :, : whitening.factor.shape[1]] = whitening.rows(longest)
         for row, of_one in enumerate(self.stretches):
             noise = self.which[row]
             size = self.noises[noise].levels[self.trial[row]]

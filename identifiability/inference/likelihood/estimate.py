@@ -18,7 +18,7 @@ import scipy.optimize
 from scipy.signal import lfilter
 
 from identifiability.files import plain
-from identifiability.inference.likelihood.processes import Process, ProcessSum, Whitening
+from identifiability.inference.likelihood.processes import Process, ProcessSum
 
 _ARMA = ((0, 0), (1, 0), (0, 1), (1, 1), (2, 0), (2, 1), (2, 2), (3, 3))
 
@@ -282,23 +282,10 @@ def _whitened_squares(
     squares, counts = np.zeros(n), np.zeros(n)
     whitening = noise.whitening(max(s.residual.size for s in stretches))
     for s in stretches:
-        white, _ = without_level(whitening, s.residual[:, None])
+        white, _ = whitening.without_level(s.residual[:, None])
         squares[s.trial] += np.sum(white**2)
         counts[s.trial] += len(white) - 1
     return squares, counts
-
-
-def without_level(whitening: Whitening, columns: np.ndarray) -> tuple[np.ndarray, float]:
-    """Whitened columns without an unknown level each, and the length of a whitened one."""
-    n, k = columns.shape
-    with_level = np.ones((n, k + 1), order="F")
-    with_level[:, :k] = columns
-    white = whitening(with_level)
-    length = float(np.linalg.norm(white[:, k]))
-    level = white[:, k] / length
-    left = white[:, :k]
-    left -= np.multiply.outer(level @ left, level).T
-    return left, length
 
 
 class _Sample:
@@ -391,7 +378,7 @@ class _Sample:
             for n, (residuals, jacobians) in self.by_length.items():
                 m = residuals.shape[1]
                 columns = np.column_stack([residuals, jacobians]) if restricted else residuals
-                white, length = without_level(whitening, columns)
+                white, length = whitening.without_level(columns)
                 parts.append(white[:, :m].ravel())
                 determinant += m * (whitening.log_determinant(n) + 2 * np.log(length))
                 freedom += m * (n - 1)
@@ -429,12 +416,21 @@ class _Sample:
             last[:] = [(values.copy(), found)]
             return found
 
+        # The optimiser needs lengths and angles alone. With the residual along the first of few
+        # axes these are cheaper to have than with one axis a sample.
+        def along(values: np.ndarray) -> np.ndarray:
+            return np.append(np.linalg.norm(scaled(values)), np.zeros(values.size))
+
         def slopes(values: np.ndarray) -> np.ndarray:
             here = scaled(values)  # kept from the step that led here
             moved = values + np.where(values < 0, _STEP, -_STEP) * np.eye(values.size)
-            return np.column_stack(
+            columns = np.column_stack(
                 [(scaled(at) - here) / (at - values)[i] for i, at in enumerate(moved)]
             )
+            direction = here / np.linalg.norm(here)
+            first = direction @ columns
+            rest = np.linalg.qr(columns - np.outer(direction, first), mode="r")
+            return np.vstack([first, rest])
 
         lower = np.full(order.size, -_MOST_CORRELATED)
         upper = -lower
@@ -443,7 +439,7 @@ class _Sample:
             upper[-1] = _MOST_CARRIED
         lower, upper = lower[: order.size - n_held], upper[: order.size - n_held]
         found = scipy.optimize.least_squares(
-            scaled,
+            along,
             np.clip(start[: lower.size], lower + _INSIDE, upper - _INSIDE),
             jac=slopes,
             bounds=(lower, upper),

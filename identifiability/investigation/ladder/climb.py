@@ -89,6 +89,24 @@ class _Climb:
     def final_and_missing(self) -> tuple[Candidate, tuple[Missing, ...]]:
         """The final model, and its effects in the order of the ladder."""
         keys = tuple(sorted(self.claim.effects))
+        final, missing = self._ladder(keys)
+        while missing and self._explains_nothing(missing[-1]):
+            keys = tuple(key for key in keys if key != missing[-1].key)
+            final, missing = self._ladder(keys)
+        return final, missing
+
+    def _explains_nothing(self, last: Missing) -> bool:
+        """Whether a clue's last effect has nothing to show for itself.
+
+        Beside something unknown many effects make a model a little more probable. Which one does
+        most of all is chance; one that no error falls by is not worth a look.
+        """
+        if self.claim.kind != "unknown" or last.key in self.claim.present or last.share is None:
+            return False
+        return last.share < self.bench.rules.trace_share
+
+    def _ladder(self, keys: Keys) -> tuple[Candidate, tuple[Missing, ...]]:
+        """A model with some effects, and these in the order of the ladder."""
         if not keys:
             return self.baseline, ()
         order = self._order(keys)

@@ -25,7 +25,6 @@ from identifiability.inference.likelihood.estimate import (
     NoiseEstimate,
     Stretch,
     estimate_noise,
-    without_level,
 )
 from identifiability.inference.likelihood.processes import Process, Whitening
 from identifiability.inference.problem import Observation, Problem
@@ -89,7 +88,7 @@ class Weights:
         """Columns of all stretches, whitened and without a level in each."""
         return np.concatenate(
             [
-                without_level(whitening, columns / self.estimate.levels[trial])[0]
+                whitening.without_level(columns / self.estimate.levels[trial])[0]
                 for whitening, columns, trial in zip(
                     self._whitenings, by_stretch, self.band.trial, strict=True
                 )

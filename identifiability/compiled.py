@@ -1,0 +1,18 @@
+"""Compiled loops over samples, for recursions that no array operation does."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, TypeVar, cast
+
+from numba import njit
+
+F = TypeVar("F", bound=Callable[..., Any])
+
+
+def compiled(function: F) -> F:
+    """Compile a function on arrays when it is first called, and keep it on disk.
+
+    Other threads run while it does.
+    """
+    return cast(F, njit(cache=True, nogil=True)(function))
