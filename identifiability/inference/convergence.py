@@ -160,6 +160,8 @@ def diagnose(
         warnings.simplefilter("ignore", FutureWarning)  # 0.x announces 1.x at every import
         import arviz
 
+    if hasattr(arviz, "Numba"):
+        arviz.Numba.disable_numba()  # in 0.x what it compiles fails with NumPy 2
     data = xarray.Dataset(
         {name: (("chain", "draw"), draws[:, :, i]) for i, name in enumerate(names)}
     )
