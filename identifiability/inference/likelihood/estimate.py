@@ -19,6 +19,7 @@ from scipy.signal import lfilter
 
 from identifiability.files import plain
 from identifiability.inference.likelihood.processes import Process, ProcessSum
+from identifiability.inference.likelihood.profiled import polynomial, scaled_residuals, slopes
 
 _ARMA = ((0, 0), (1, 0), (0, 1), (1, 1), (2, 0), (2, 1), (2, 2), (3, 3))
 
@@ -33,6 +34,7 @@ _STEP, _INSIDE = 1e-5, 1e-3  # of differences; from bounds, to start at
 _SAME_DIRECTION = 1e-8  # length of a direction, over the longest, from which it is one
 _HUGE = 1e10  # stands for a noise without likelihood
 _SHORTLIST = 3
+_NO_PROCESS = (np.ones(1), np.zeros(1))
 
 
 @dataclass(frozen=True, eq=False)
@@ -293,20 +295,23 @@ class _Sample:
 
     def __init__(self, stretches: Sequence[Stretch], carried: Process | None) -> None:
         self.carried = carried
-        self.by_length: dict[int, tuple[np.ndarray, np.ndarray]] = {}
         basis = _basis(np.concatenate([s.jacobian for s in stretches]))
         self.k = basis.shape[1]
-        for n in sorted({s.residual.size for s in stretches}):
+        lengths = sorted({s.residual.size for s in stretches})
+        residuals, both, numbers = [], [], []
+        for n in lengths:
             those = [s for s in stretches if s.residual.size == n]
-            self.by_length[n] = (
-                np.column_stack([s.residual for s in those]),
-                np.column_stack([s.jacobian @ basis for s in those]),
-            )
-        self.n_samples = sum(n * r.shape[1] for n, (r, _) in self.by_length.items())
-        self.shortest = min(self.by_length)
+            residuals.append(np.column_stack([s.residual for s in those]))
+            derivatives = [s.jacobian @ basis for s in those]
+            both.append(np.column_stack([residuals[-1], *derivatives]))
+            numbers.append(len(those))
+        self._residuals = np.concatenate([one.ravel() for one in residuals])
+        self._both = np.concatenate([one.ravel() for one in both])
+        self._lengths, self._numbers = np.array(lengths), np.array(numbers)
+        self.n_samples, self.shortest = self._residuals.size, lengths[0]
         centred = [_level(s.residual) for s in stretches]
         shocks = _reflections(centred, min(_LONG_AR, self.shortest // 6))
-        self._shocks = [lfilter(_polynomial(shocks), [1.0], r) for r in centred]
+        self._shocks = [lfilter(polynomial(shocks), [1.0], r) for r in centred]
         self._centred = centred
 
     def ranked(self, tried: Sequence[Contender]) -> list[Contender]:
@@ -328,7 +333,7 @@ class _Sample:
     def noise(self, order: Order, values: np.ndarray) -> ProcessSum:
         """The noise that the optimiser's values stand for, its own innovations of variance 1."""
         partial = np.tanh(values[: order.p + order.q])
-        own = Process(_polynomial(partial[: order.p]), _polynomial(partial[order.p :]))
+        own = Process(polynomial(partial[: order.p]), polynomial(partial[order.p :]))
         if not order.carried or self.carried is None:
             return ProcessSum((own,))
         sd = self.carried.sd * np.exp(values[-1])
@@ -360,39 +365,19 @@ class _Sample:
 
     def cost(self, order: Order, values: np.ndarray, *, restricted: bool) -> float:
         """Minus the log likelihood, the level of the noise and those of stretches profiled out."""
-        scaled, freedom = self.scaled(order, values, restricted=restricted)
+        try:
+            scaled, freedom = scaled_residuals(values, *self._arguments(order, restricted))
+        except np.linalg.LinAlgError:
+            return np.inf
         return 0.5 * freedom * float(np.log(scaled @ scaled / freedom))
 
-    def scaled(
-        self, order: Order, values: np.ndarray, *, restricted: bool
-    ) -> tuple[np.ndarray, int]:
-        """Whitened residuals times the root of the mean variance, and their degrees of freedom.
-
-        The likelihood with its level profiled out is that of their sum of squares: fitting the
-        noise is a problem of least squares.
-        """
-        parts, determinant, freedom = [], 0.0, 0
-        information = np.zeros((self.k, self.k))
-        try:
-            whitening = self.noise(order, values).whitening(max(self.by_length))
-            for n, (residuals, jacobians) in self.by_length.items():
-                m = residuals.shape[1]
-                columns = np.column_stack([residuals, jacobians]) if restricted else residuals
-                white, length = whitening.without_level(columns)
-                parts.append(white[:, :m].ravel())
-                determinant += m * (whitening.log_determinant(n) + 2 * np.log(length))
-                freedom += m * (n - 1)
-                if restricted:
-                    part = white[:, m:].reshape(n * m, self.k)
-                    information += part.T @ part
-            if restricted:
-                freedom -= self.k
-                determinant += float(np.linalg.slogdet(information)[1])
-        except np.linalg.LinAlgError:
-            determinant = -np.inf
-        if not np.isfinite(determinant):
-            return np.full(self.n_samples, np.inf), self.n_samples
-        return np.concatenate(parts) * np.exp(0.5 * determinant / freedom), freedom
+    def _arguments(self, order: Order, restricted: bool) -> tuple[Any, ...]:
+        """Those of `scaled_residuals` behind the values."""
+        carried = _NO_PROCESS
+        if order.carried and self.carried is not None:
+            carried = self.carried.ar, self.carried.sd * self.carried.ma
+        columns, k = (self._both, self.k) if restricted else (self._residuals, 0)
+        return order.p, order.q, carried, columns, self._lengths, self._numbers, k
 
     def fitted(
         self, order: Order, start: np.ndarray, *, restricted: bool, held: bool = False
@@ -401,52 +386,40 @@ class _Sample:
 
         With the share of the carried noise `held` where it is.
         """
-        n_held = int(held)
-        tail = start[start.size - n_held :]
-        if order.size == n_held:
+        n_free = order.size - held
+        tail = start[n_free:]
+        if not n_free:
             return start, self.cost(order, start, restricted=restricted), True
-
-        last: list[tuple[np.ndarray, np.ndarray]] = []
-
-        def scaled(values: np.ndarray) -> np.ndarray:
-            if last and np.array_equal(last[0][0], values):
-                return last[0][1]
-            found = self.scaled(order, np.append(values, tail), restricted=restricted)[0]
-            found = found if np.all(np.isfinite(found)) else np.full(self.n_samples, _HUGE)
-            last[:] = [(values.copy(), found)]
-            return found
+        arguments = self._arguments(order, restricted)
 
         # The optimiser needs lengths and angles alone. With the residual along the first of few
         # axes these are cheaper to have than with one axis a sample.
         def along(values: np.ndarray) -> np.ndarray:
-            return np.append(np.linalg.norm(scaled(values)), np.zeros(values.size))
+            found, _ = scaled_residuals(np.append(values, tail), *arguments)
+            return np.append(min(float(np.sqrt(found @ found)), _HUGE), np.zeros(n_free))
 
-        def slopes(values: np.ndarray) -> np.ndarray:
-            here = scaled(values)  # kept from the step that led here
-            moved = values + np.where(values < 0, _STEP, -_STEP) * np.eye(values.size)
-            columns = np.column_stack(
-                [(scaled(at) - here) / (at - values)[i] for i, at in enumerate(moved)]
-            )
-            direction = here / np.linalg.norm(here)
-            first = direction @ columns
-            rest = np.linalg.qr(columns - np.outer(direction, first), mode="r")
-            return np.vstack([first, rest])
+        def change(values: np.ndarray) -> np.ndarray:
+            found: np.ndarray = slopes(np.append(values, tail), n_free, _STEP, *arguments)
+            return found
 
         lower = np.full(order.size, -_MOST_CORRELATED)
         upper = -lower
         if order.carried:
             lower[-1] = 0.5 * np.log(_SHARES[0]) - 3
             upper[-1] = _MOST_CARRIED
-        lower, upper = lower[: order.size - n_held], upper[: order.size - n_held]
-        found = scipy.optimize.least_squares(
-            along,
-            np.clip(start[: lower.size], lower + _INSIDE, upper - _INSIDE),
-            jac=slopes,
-            bounds=(lower, upper),
-            max_nfev=_ITERATIONS,
-            ftol=1e-5,
-            xtol=1e-3,
-        )
+        lower, upper = lower[:n_free], upper[:n_free]
+        try:
+            found = scipy.optimize.least_squares(
+                along,
+                np.clip(start[:n_free], lower + _INSIDE, upper - _INSIDE),
+                jac=change,
+                bounds=(lower, upper),
+                max_nfev=_ITERATIONS,
+                ftol=1e-5,
+                xtol=1e-3,
+            )
+        except np.linalg.LinAlgError:
+            return start, np.inf, False
         best = np.append(found.x, tail)
         return best, self.cost(order, best, restricted=restricted), bool(found.status > 0)
 
@@ -466,17 +439,8 @@ def _reflections(pieces: Sequence[np.ndarray], order: int) -> np.ndarray:
     return np.array(found)
 
 
-def _polynomial(partial: np.ndarray) -> np.ndarray:
-    """Polynomial, first coefficient 1, of which these are the partial autocorrelations."""
-    found = [1.0]
-    for k in partial.tolist():
-        longer = [*found, 0.0]
-        found = [a + k * b for a, b in zip(longer, reversed(longer), strict=True)]
-    return np.array(found)
-
-
 def _partials(coefficients: np.ndarray) -> np.ndarray:
-    """Inverse of `_polynomial`, moved inside the bounds where that has none."""
+    """Inverse of `polynomial`, moved inside the bounds where that has none."""
     found, rest = [], np.concatenate([[1.0], coefficients])
     while rest.size > 1:
         k = float(np.clip(rest[-1], -0.98, 0.98))
