@@ -14,7 +14,7 @@ PACKAGE = "identifiability"
 # other.
 LAYERS = (
     ("errors",),
-    ("files", "progress", "provenance", "palette"),
+    ("files", "loops", "progress", "provenance", "palette"),
     ("sweep",),
     ("measurement",),
     ("joint",),

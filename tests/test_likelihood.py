@@ -18,6 +18,7 @@ from identifiability.inference.likelihood.estimate import (
     estimate_noise,
 )
 from identifiability.inference.likelihood.processes import Process, ProcessSum
+from identifiability.inference.likelihood.profiled import scaled_residuals, slopes
 from identifiability.inference.recordings import fit_with_noise
 from identifiability.measurement.perturbations import imposed_motion
 from identifiability.measurement.prepared import prepare_whole_band
@@ -77,6 +78,75 @@ def test_compiled_whitening_is_that_of_the_covariance():
             expected = white - constant * (constant @ white)
             np.testing.assert_allclose(found[row, i, : samples.size], expected, atol=1e-8)
             assert not found[row, i, samples.size :].any()
+
+
+def restricted_cost(values, stretches, carried):
+    """Minus the restricted log likelihood, but for a constant, of ARMA(1, 1) and what came in."""
+    partial = np.tanh(values[:2])
+    own = Process(np.array([1.0, partial[0]]), np.array([1.0, partial[1]]))
+    came_in = Process(*carried, np.exp(values[2]))
+    roots, determinant = [], 0.0
+    for residual, _ in stretches:
+        root = np.linalg.cholesky(spectral_covariance(residual.size, own, came_in))
+        roots.append(root)
+        determinant += 2 * np.sum(np.log(np.diag(root)))
+    white = np.concatenate(
+        [np.linalg.solve(root, r) for root, (r, _) in zip(roots, stretches, strict=True)]
+    )
+    level = scipy.linalg.block_diag(
+        *[np.linalg.solve(root, np.ones((len(root), 1))) for root in roots]
+    )
+    shape = np.concatenate(
+        [np.linalg.solve(root, j) for root, (_, j) in zip(roots, stretches, strict=True)]
+    )
+    taken = np.column_stack([level, shape])
+    # The fit has taken its share of the residual already: only levels are left to fit.
+    left = white - level @ np.linalg.lstsq(level, white, rcond=None)[0]
+    determinant += np.linalg.slogdet(taken.T @ taken)[1]
+    freedom = white.size - taken.shape[1]
+    return 0.5 * freedom * np.log(left @ left / freedom) + 0.5 * determinant
+
+
+def test_the_sum_of_squares_is_the_restricted_likelihood():
+    random = np.random.default_rng(4)
+    lengths, numbers, k = np.array([40, 60]), np.array([2, 1]), 2
+    stretches = [
+        (random.standard_normal(n), np.cumsum(random.standard_normal((n, k)), axis=0))
+        for n in np.repeat(lengths, numbers)
+    ]
+    columns = [
+        np.column_stack([*(r for r, _ in those), *(j for _, j in those)]).ravel()
+        for those in (stretches[:2], stretches[2:])
+    ]
+    carried = np.array([1.0, -0.6]), np.array([0.4, 0.3])
+    arguments = (1, 1, carried, np.concatenate(columns), lengths, numbers, k)
+    values = np.array([-0.5, 0.3, -0.4])
+    other = np.array([-1.2, 0.1, 0.6])
+
+    def cost(values):
+        scaled, freedom = scaled_residuals(values, *arguments)
+        return 0.5 * freedom * np.log(scaled @ scaled / freedom)
+
+    assert cost(other) - cost(values) == pytest.approx(
+        restricted_cost(other, stretches, carried) - restricted_cost(values, stretches, carried),
+        abs=1e-6,
+    )
+    # What an optimiser sees of the slopes are their lengths and angles.
+    step = 1e-6
+    full = np.column_stack(
+        [
+            (
+                scaled_residuals(values + step * axis, *arguments)[0]
+                - scaled_residuals(values - step * axis, *arguments)[0]
+            )
+            / (2 * step)
+            for axis in np.eye(3)
+        ]
+    )
+    here = scaled_residuals(values, *arguments)[0]
+    few = slopes(values, 3, 1e-5, *arguments)
+    np.testing.assert_allclose(few.T @ few, full.T @ full, rtol=1e-4)
+    np.testing.assert_allclose(few[0] * np.linalg.norm(here), here @ full, rtol=1e-3)
 
 
 def test_carried_noise_is_that_of_the_response():

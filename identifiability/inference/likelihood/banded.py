@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from identifiability.compiled import compiled
+from identifiability.loops import compiled_loop
 
 Filters = tuple[tuple[np.ndarray, np.ndarray], ...]
 
@@ -18,7 +18,7 @@ _ROUNDING = (1e-13, 1e-11, 1e-9)
 _REPEATS = 1e-14  # change of a row, over its first, from which on the factor repeats itself
 
 
-@compiled
+@compiled_loop
 def product(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     """Product of two polynomials."""
     found = np.zeros(one.size + other.size - 1)
@@ -28,7 +28,7 @@ def product(one: np.ndarray, other: np.ndarray) -> np.ndarray:
     return found
 
 
-@compiled
+@compiled_loop
 def impulse_response(ar: np.ndarray, ma: np.ndarray, n: int) -> np.ndarray:
     """Response of a process to a unit of e, shape (n,)."""
     found = np.zeros(n)
@@ -40,7 +40,7 @@ def impulse_response(ar: np.ndarray, ma: np.ndarray, n: int) -> np.ndarray:
     return found
 
 
-@compiled
+@compiled_loop
 def shared_shocks(moving: np.ndarray, response: np.ndarray, lag: int) -> float:
     """Covariance of a moving average with what responded to the same shocks `lag` samples ago."""
     total = 0.0
@@ -49,7 +49,7 @@ def shared_shocks(moving: np.ndarray, response: np.ndarray, lag: int) -> float:
     return total
 
 
-@compiled
+@compiled_loop
 def autocovariance(ar: np.ndarray, ma: np.ndarray, lags: int) -> np.ndarray:
     """Autocovariance of a process at lags 0 to `lags`, shape (lags + 1,).
 
@@ -72,7 +72,7 @@ def autocovariance(ar: np.ndarray, ma: np.ndarray, lags: int) -> np.ndarray:
     return found[: lags + 1]
 
 
-@compiled
+@compiled_loop
 def covariance(parts: Filters, n: int, beside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Covariance of a sum of processes, filtered by the product of all autoregressions.
 
@@ -123,7 +123,7 @@ def covariance(parts: Filters, n: int, beside: np.ndarray) -> tuple[np.ndarray, 
     return ar, rows
 
 
-@compiled
+@compiled_loop
 def _add_filtered(
     rows: np.ndarray, ar: np.ndarray, variances: np.ndarray, t: int, lag: int
 ) -> None:
@@ -136,7 +136,7 @@ def _add_filtered(
         rows[t, lag] += ar[i] * ar[i + lag] * variances[shock]
 
 
-@compiled
+@compiled_loop
 def _factor(rows: np.ndarray, n: int, share: float) -> np.ndarray:
     """Rows of a triangular factor, as far as they differ; none of an indefinite covariance."""
     width = rows.shape[1] - 1
@@ -168,7 +168,7 @@ def _factor(rows: np.ndarray, n: int, share: float) -> np.ndarray:
     return found
 
 
-@compiled
+@compiled_loop
 def factor(rows: np.ndarray, n: int) -> np.ndarray:
     """Triangular factor of a covariance, with as little white noise added as it takes.
 
@@ -191,7 +191,7 @@ def factor(rows: np.ndarray, n: int) -> np.ndarray:
     return np.zeros((0, rows.shape[1]))
 
 
-@compiled
+@compiled_loop
 def whitened(ar: np.ndarray, rows: np.ndarray, values: np.ndarray) -> np.ndarray:
     """Columns of samples that follow each other, filtered and solved by a factor.
 
@@ -238,7 +238,7 @@ def whitened(ar: np.ndarray, rows: np.ndarray, values: np.ndarray) -> np.ndarray
     return found
 
 
-@compiled
+@compiled_loop
 def whitened_without_level(
     ar: np.ndarray, rows: np.ndarray, values: np.ndarray
 ) -> tuple[np.ndarray, float]:
@@ -260,7 +260,7 @@ def whitened_without_level(
     return found, np.sqrt(square)
 
 
-@compiled
+@compiled_loop
 def whitened_back(ar: np.ndarray, rows: np.ndarray, values: np.ndarray) -> np.ndarray:
     """The transpose of `whitened`, of one column, shape (n,)."""
     n = values.size

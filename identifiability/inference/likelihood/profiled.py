@@ -8,15 +8,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from identifiability.compiled import compiled
 from identifiability.inference.likelihood.banded import (
     covariance,
     factor,
     whitened_without_level,
 )
+from identifiability.loops import compiled_loop
 
 
-@compiled
+@compiled_loop
 def polynomial(partial: np.ndarray) -> np.ndarray:
     """Polynomial, first coefficient 1, of which these are the partial autocorrelations."""
     found = np.zeros(partial.size + 1)
@@ -28,7 +28,7 @@ def polynomial(partial: np.ndarray) -> np.ndarray:
     return found
 
 
-@compiled
+@compiled_loop
 def scaled_residuals(
     values: np.ndarray,
     p: int,
@@ -103,7 +103,7 @@ def scaled_residuals(
     return found * np.exp(0.5 * log_determinant / freedom), freedom
 
 
-@compiled
+@compiled_loop
 def slopes(
     values: np.ndarray,
     n_free: int,

@@ -43,6 +43,7 @@ _EVALUATIONS, _ROUNDS = 12, 2
 _SOLVER = 1.0  # squared error of the integration, all samples together, over the noise's
 _CARRIED = 2  # starts that a fit is carried on from
 _REFERENCE_ROUNDS, _SETTLED = 5, 1e-3
+_ANYTHING = 0.5  # change of the inertia in one of the last two, from which it may be anything
 _LEAST_EIGENVALUE = 1e-12
 _BLINDS = 0.5  # share of what is left that is noise of the angle, where it hides the inertia
 _DIVERGED = 1e3  # responses that a model may leave, and still be said to have one
@@ -505,7 +506,7 @@ def evaluator_of(band: Band, values: Mapping[str, float], *, seed: int = 1) -> E
     def without_inertia() -> bool:
         return angle and bool(touching(x, problem.lower, problem.upper)[0][2])
 
-    start = x
+    start, changes = x, [np.zeros(x.size)]
     for rounds in range(_REFERENCE_ROUNDS):
         reference, raw, weights = left_at(x)
         weighed = Weighed(reference.probe_problem or problem, band, weights, True)
@@ -521,13 +522,16 @@ def evaluator_of(band: Band, values: Mapping[str, float], *, seed: int = 1) -> E
             reference, raw, weights = left_at(x)
             shortlist = weights.contenders
             break
-        if np.max(np.abs(x - before) / np.maximum(np.abs(x), 1e-300)) < _SETTLED:
+        larger = np.maximum(np.maximum(np.abs(x), np.abs(before)), 1e-300)
+        changes.append(np.abs(x - before) / larger)
+        if np.max(changes[-1]) < _SETTLED:
             break
-    if without_inertia():
+    hidden = angle and weights.excess >= _BLINDS * band.n_samples
+    if without_inertia() or (hidden and np.max(changes[-2:], axis=0)[2] > _ANYTHING):
         raise InputError(
-            f"found an inertia at its lower bound, {problem.lower[2]:g} kg m², once the noise's "
-            "colour counts: the angle is too coarse for its acceleration; record it finer, or "
-            "impose the torque"
+            f"found no inertia that the trials agree on ({before[2]:.2g} kg m², then {x[2]:.2g}) "
+            "once the noise's colour counts: the angle is too coarse for its acceleration; record "
+            "it finer, or impose the torque"
         )
     derivatives = np.concatenate(raw)[:, 1:]
     sizes = np.sqrt(np.mean(derivatives**2, axis=0))

@@ -10,7 +10,7 @@ from numba import njit
 F = TypeVar("F", bound=Callable[..., Any])
 
 
-def compiled(function: F) -> F:
+def compiled_loop(function: F) -> F:
     """Compile a function on arrays when it is first called, and keep it on disk.
 
     Other threads run while it does.
