@@ -1,12 +1,14 @@
 """Verdicts on constructed findings: what may be said, and no more."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 from constructed import candidate, left_over, probabilities
 from hidden import HELD, JOINT, trials
 
 from identifiability.investigation.findings import Findings
+from identifiability.investigation.ladder.climb import found_of
 from identifiability.investigation.ladder.errors import removed_share
 from identifiability.investigation.ladder.found import Found, Missing, Tried
 from identifiability.investigation.posterior.claim import claim_of
@@ -266,3 +268,31 @@ def test_probabilities_are_said_first(rows, kind, said, split):
     assert found.verdict.kind == kind
     assert bool(found.verdict.sets) == (kind == "explained")
     assert because(found)[0].startswith(said)
+
+
+@pytest.mark.parametrize(
+    ("left", "expected"),
+    [(0.0039, ("cubic_stiffness",)), (0.0010, ("cubic_stiffness", "coulomb_friction"))],
+)
+def test_a_clue_that_no_error_falls_by_is_no_rung(left, expected, split):
+    """Beside something unknown, which effect makes a model a little more probable is chance."""
+    both = ("coulomb_friction", "cubic_stiffness")
+    errors = {(): BEFORE, ("cubic_stiffness",): 0.004, both: left}
+    posterior = probabilities(
+        (None, 1.0),
+        *((keys, 0.0) for keys in errors),
+        evidence={keys: 1.0 + i for i, keys in enumerate(errors)},
+    )
+    fitted = {keys: candidate(error, *keys) for keys, error in errors.items()}
+    sets = {k: replace(s, candidate=fitted[k]) for k, s in posterior.sets.items() if k in fitted}
+    sets["coulomb_friction",] = replace(sets[()], candidate=candidate(0.09, "coulomb_friction"))
+    beside = {both: 1.0}
+    posterior = replace(posterior, sets=sets, unknown=both, beside_unknown=beside)
+    claim = claim_of(posterior, EFFECTS, RULES.claimed)
+    assert (claim.kind, claim.present) == ("unknown", both)
+    bench = SimpleNamespace(split=split, rules=RULES, finish=lambda candidate: candidate)
+    found = found_of(bench, fitted[()], posterior, claim, EFFECTS)
+    assert tuple(m.key for m in found.missing) == expected
+    verdict = judge(split, posterior, claim, found, left_over("static"), (), EFFECTS)
+    (there,) = [r for r in verdict.reasons if r.kind == "whatever else"]
+    assert set(there.effects) == set(expected)

@@ -101,9 +101,8 @@ class _Climb:
         Beside something unknown many effects make a model a little more probable. Which one does
         most of all is chance; one that no error falls by is not worth a look.
         """
-        if self.claim.kind != "unknown" or last.key in self.claim.present or last.share is None:
-            return False
-        return last.share < self.bench.rules.trace_share
+        small = last.share is not None and last.share < self.bench.rules.trace_share
+        return small and self.claim.kind == "unknown"
 
     def _ladder(self, keys: Keys) -> tuple[Candidate, tuple[Missing, ...]]:
         """A model with some effects, and these in the order of the ladder."""

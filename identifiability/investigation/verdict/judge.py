@@ -113,13 +113,12 @@ def judge(
     reasons = [_probabilities(claim, posterior)]
     if claim.kind == "effects" and not explains:
         reasons.append(Reason("only a part", claim.effects))
-    if claim.present:
-        there = {effect: posterior.present(effect) for effect in claim.present}
-        reasons.append(Reason("whatever else", claim.present, there))
+    shown = {m.key: posterior.present(m.key) for m in found.missing}
+    there = {effect: shown[effect] for effect in claim.present if effect in shown}
+    if there:
+        reasons.append(Reason("whatever else", tuple(there), there))
     if not named:
-        clues = {
-            m.key: posterior.present(m.key) for m in found.missing if m.key not in claim.present
-        }
+        clues = {effect: sure for effect, sure in shown.items() if effect not in there}
         reasons += [Reason("clue", tuple(clues), clues)] if clues else []
     if claim.kind == "unknown" and posterior.description is not None:
         reasons.append(Reason("nearest form", (posterior.description,)))

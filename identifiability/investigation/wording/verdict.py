@@ -56,7 +56,8 @@ def verdict_sentence(findings: Findings) -> str:
     if "whatever else" in reasons:
         there = listed([library[key].title for key in reasons["whatever else"].effects])
         return (
-            f"Beside {there}, something is missing that no effect known here is sure to be. {rest}"
+            f"Beside {there}, or what behaves like it, something is missing that no effect known "
+            f"here is sure to be. {rest}"
         )
     if not verdict.sets:
         return f"Something is missing, and no effect known here is sure to be it. {rest}"
@@ -199,8 +200,8 @@ def _only_a_part(reason: Reason, findings: Findings) -> str:
 def _whatever_else(reason: Reason, findings: Findings) -> str:
     each = [f"{plain(key)} {percent(p)}" for key, p in reason.numbers.items()]
     return (
-        f"Whatever else is missing, these are there: {listed(each)}. They may stand for a part"
-        " of what is unknown: treat them as a clue."
+        f"Whatever else is missing, no model does without {listed(each)}. They may stand for a "
+        "part of what is unknown: treat them as a clue."
     )
 
 
