@@ -46,8 +46,9 @@ def test_what_is_missing_leaves_least(driven):
             assert steps[1].values[name] == pytest.approx(value, rel=0.1)
 
 
-def test_it_is_looked_for_where_the_most_probable_set_leaves_much(monkeypatch):
-    """Not where that leaves no more than the noise of a good recording."""
+@pytest.mark.parametrize("driven", ["torque", "angle"])
+def test_it_is_looked_for_before_something_unknown_is_said(driven, monkeypatch):
+    """And where the most probable set leaves more than the noise of a good recording."""
     looked = []
 
     def none(*arguments):
@@ -55,9 +56,21 @@ def test_it_is_looked_for_where_the_most_probable_set_leaves_much(monkeypatch):
         return iter(())
 
     monkeypatch.setattr(search, "stepwise", none)
-    noisy = trials(KBI(), JOINT, 3, noise=0.2), trials(KBI(), JOINT, 4, noise=0.2, conditions=HELD)
-    quiet = trials(KBI(), JOINT, 3), trials(KBI(), JOINT, 4, conditions=HELD)
-    library = {"cubic_stiffness": EFFECTS["cubic_stiffness"]}
-    for parts, expected in ((quiet, 0), (noisy, 1)):
-        Investigation(*parts, library=library).weigh()
-        assert len(looked) == expected
+    size = 1.0 if driven == "torque" else 6.0
+    conditions = [(kind, size * strength) for kind, strength in CONDITIONS]
+
+    def looks(model, values, noise, library):
+        before = len(looked)
+        parts = (
+            trials(model, values, seed, noise=noise, conditions=c, driven=driven)
+            for seed, c in ((3, conditions), (4, HELD))
+        )
+        Investigation(*parts, library={key: EFFECTS[key] for key in library}).weigh()
+        return len(looked) > before
+
+    spring = KBI() + EFFECTS["cubic_stiffness"]()
+    values = {name: VALUES[name] for name in spring.parameter_names}
+    assert not looks(KBI(), JOINT, 1e-3, ["cubic_stiffness"])
+    assert looks(KBI(), JOINT, 0.2, ["cubic_stiffness"])
+    assert not looks(spring, values, 1e-3, ["cubic_stiffness", "sensor_delay"])
+    assert looks(spring, values, 1e-3, ["sensor_delay"])

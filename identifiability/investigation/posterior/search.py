@@ -47,7 +47,8 @@ def weigh(
     in it: two effects may be taken for a third one and its correction.
     What was added last may be what was missing all along, and what was found before it a poor
     picture of it: of a pair that leaves much less, both are enlarged. If the most probable set
-    leaves more than an instrument would, those that leave least are weighed as well.
+    leaves more than an instrument would, or something unknown cannot be excluded, those that leave
+    least are weighed as well.
 
     Parameters
     ----------
@@ -87,11 +88,12 @@ def weigh(
             if found is None or left is None or not search.was_poor(found):
                 break
             search.enlarge(left)
-    if search.leaves_much():
+    found = weighing.concluded()
+    credible = found.credible(weighing.rules.claimed)
+    if search.leaves_much() or any(row.effects is None for row in credible):
         search.follow(stepwise(evaluator, weighing.found[()], library, most, progress), most)
-    weighing.settle()
-    weighing.describe()
-    return weighing.posterior()
+        found = weighing.concluded()
+    return found
 
 
 @dataclass(eq=False)

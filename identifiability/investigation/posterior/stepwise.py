@@ -2,7 +2,8 @@
 
 Noise may have the colour of the response itself. What several effects do together then passes for
 noise until all of them are there, and no one of them seems to be missing. Where even the most
-probable set leaves more than an instrument would, effects are added by least squares as well.
+probable set leaves more than an instrument would, and before something unknown is said to be
+missing, effects are added by least squares as well.
 """
 
 from __future__ import annotations

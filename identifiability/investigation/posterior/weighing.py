@@ -320,6 +320,12 @@ class Weighing:
         """Log evidence and log prior [nats] of a set whose equations are exact."""
         return self.found[keys].log_evidence + self.log_prior(len(keys))
 
+    def concluded(self) -> Probabilities:
+        """Probabilities, once all that comes near was taken up and described."""
+        self.settle()
+        self.describe()
+        return self.posterior()
+
     def posterior(self) -> Probabilities:
         """Probabilities of all that was weighed."""
         ranked = sorted(self.found, key=lambda keys: -self.score(keys))
