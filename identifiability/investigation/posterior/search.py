@@ -88,12 +88,12 @@ def weigh(
             if found is None or left is None or not search.was_poor(found):
                 break
             search.enlarge(left)
-    found = weighing.concluded()
-    credible = found.credible(weighing.rules.claimed)
+    posterior = weighing.concluded()
+    credible = posterior.credible(weighing.rules.claimed)
     if search.leaves_much() or any(row.effects is None for row in credible):
         search.follow(stepwise(evaluator, weighing.found[()], library, most, progress), most)
-        found = weighing.concluded()
-    return found
+        posterior = weighing.concluded()
+    return posterior
 
 
 @dataclass(eq=False)
