@@ -59,6 +59,10 @@ def test_one_that_cannot_be_investigated_takes_no_other_with_it(capsys, tmp_path
     assert code == 3
     (record,) = json.loads((out / "recordings.json").read_text())["recordings"]
     assert record["name"] == "broken"
+    # Of a recording that is not asked for, what was found before stays.
+    arguments = ["recordings", "--folder", str(folder), "--only", "ankle", "--out", str(out)]
+    assert main(arguments) == 0
+    assert json.loads((out / "recordings.json").read_text())["recordings"] == [record]
     assert "angle" in record["failure"]
     assert f"failed: {record['failure']}" in (out / "recordings.md").read_text()
 

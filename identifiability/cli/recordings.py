@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 import shutil
 import sys
 from pathlib import Path
@@ -23,7 +24,8 @@ def add_parser(commands: Any) -> None:
         help="real recordings that the package knows, and what it finds in them",
         description="List the real recordings that are known, with source, licence and checksum; "
         "with --folder check the files that are there; with --out investigate each of them, by "
-        "default settings, and write recordings.md. What is finished is not done again.",
+        "default settings, and write recordings.md. What is finished is not done again; of those "
+        "that are not asked for, what was found before stays.",
         **with_examples(
             "recordings",
             "recordings --folder downloads",
@@ -56,7 +58,7 @@ def run(options: argparse.Namespace) -> int:
         return 0
     out = output_folder(options.out)
     pictures = output_folder(out / "recordings")
-    found, failed = [], False
+    found, failed = _of_others(out / "recordings.json", {one.name for one in chosen}), False
     for one in chosen:
         if states[one.name] != "found":
             print(f"{one.name}: {states[one.name]}; {one.source}", file=sys.stderr)
@@ -76,6 +78,14 @@ def run(options: argparse.Namespace) -> int:
     write_text(out / "recordings.md", recordings_page(found))
     print(f"written: {out}/recordings.md, recordings.json")
     return PARTIAL if failed else 0
+
+
+def _of_others(path: Path, chosen: set[str]) -> list[dict[str, Any]]:
+    """What was found before in recordings that are not chosen; each says by which code."""
+    if not path.is_file():
+        return []
+    before = json.loads(path.read_text(encoding="utf-8"))["recordings"]
+    return [record for record in before if record["name"] not in chosen]
 
 
 def _investigate(one: RealRecording, folder: Path, out: Path) -> str:
