@@ -8,7 +8,7 @@ from hidden import HELD, JOINT, trials
 
 from identifiability.inference.likelihood.processes import Process, ProcessSum
 from identifiability.investigation.posterior.band import band_of
-from identifiability.investigation.posterior.evidence import evaluator_of
+from identifiability.investigation.posterior.reference import evaluator_of
 from identifiability.investigation.posterior.search import weigh
 from identifiability.investigation.session import Investigation
 from identifiability.joint.effects import EFFECTS

@@ -33,14 +33,12 @@ from identifiability.investigation.posterior.claim import claim_of
 from identifiability.investigation.posterior.columns import without
 from identifiability.investigation.posterior.descriptions import descriptions_of
 from identifiability.investigation.posterior.discrepancy import _known, discrepancy_of
-from identifiability.investigation.posterior.evidence import (
-    Evaluated,
-    Prior,
-    _log_volume,
-    evaluator_of,
-)
+from identifiability.investigation.posterior.evidence import Evaluated
 from identifiability.investigation.posterior.growing import growing_noise
+from identifiability.investigation.posterior.laplace import log_volume
 from identifiability.investigation.posterior.noises import Weighed
+from identifiability.investigation.posterior.prior import Prior
+from identifiability.investigation.posterior.reference import evaluator_of
 from identifiability.investigation.posterior.search import _Search
 from identifiability.investigation.posterior.weighing import Weighing
 from identifiability.investigation.rules import Rules
@@ -163,7 +161,7 @@ def test_blind_cases_are_drawn_alike_by_alike_seeds():
 
 def test_the_volume_about_a_mode_is_that_of_quadrature():
     precision = np.array([[9.0, 3.0], [3.0, 4.0]])
-    inside, _, none = _log_volume(precision, np.zeros(2), np.zeros(2, bool))
+    inside, _, none = log_volume(precision, np.zeros(2), np.zeros(2, bool))
     assert inside == pytest.approx(np.log(2 * np.pi / np.sqrt(np.linalg.det(precision))))
     assert none == {}
     slope = 1.7  # of the first, at its lower bound 0
@@ -173,7 +171,7 @@ def test_the_volume_about_a_mode_is_that_of_quadrature():
         return np.exp(-0.5 * at @ precision @ at - slope * x)
 
     exact, _ = integrate.dblquad(density, 0, 6, -8, 8)
-    found, kept, gains = _log_volume(precision, np.array([slope, 0.0]), np.array([True, False]))
+    found, kept, gains = log_volume(precision, np.array([slope, 0.0]), np.array([True, False]))
     assert found == pytest.approx(np.log(exact), abs=1e-4)
     assert list(kept) == [1]
     # Beyond the bound, with the other where it then is best.

@@ -1,102 +1,42 @@
 """Evidence of a model: its likelihood, averaged over what its parameters may be before the data.
 
 By Laplace's approximation about the best parameters, with the residual's noise estimated for this
-model (restricted likelihood, one nat for each of its parameters as AICc counts them). The priors
-are proper and free of units: K, B and I may be anything that makes up to four times the measured
-response, alike in all models; an effect most likely makes a response no larger than what was
-measured; its shape is anything between the physical bounds, by ratios where these span more than
-one decade. A stiffness that vanishes as it grows counts by its compliance.
+model (restricted likelihood, one nat for each of its parameters as AICc counts them).
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Literal
+from dataclasses import dataclass
 
 import numpy as np
-import scipy.linalg
-import scipy.special
 
 from identifiability.errors import InputError
 from identifiability.inference.bounds import touching
 from identifiability.inference.fitting import explore, inside
-from identifiability.inference.likelihood.estimate import Contender, Order, contenders
+from identifiability.inference.likelihood.estimate import Contender, Order
 from identifiability.inference.problem import Problem
 from identifiability.investigation.posterior.band import Band
 from identifiability.investigation.posterior.beginnings import Beginnings
+from identifiability.investigation.posterior.laplace import less, log_volume
 from identifiability.investigation.posterior.noises import (
     Reference,
     Weighed,
     Weights,
     raw_residuals,
 )
-from identifiability.joint.model import KBI, Model
+from identifiability.investigation.posterior.prior import priors_of
+from identifiability.joint.model import Model
 from identifiability.joint.scheme import Scheme
 
-_JOINT_RANGE = 4.0  # responses to K, B or I, over the measured one, that the prior spans
 NOISE_SHARE = 0.02
 """Share of the response's energy that is noise, the mean of an exponential prior: more than a few
 percent would be a poor recording. Without it noise of long memory may be the response itself."""
-_DECADE = 10.0  # ratio of bounds from which a shape's prior is uniform by ratios
-_EVALUATIONS, _ROUNDS = 12, 2
+EVALUATIONS, _ROUNDS = 12, 2
 _SOLVER = 1.0  # squared error of the integration, all samples together, over the noise's
 _CARRIED = 2  # starts that a fit is carried on from
-_REFERENCE_ROUNDS, _SETTLED = 5, 1e-3
-_ANYTHING = 0.5  # change of the inertia in one of the last two, from which it may be anything
-_LEAST_EIGENVALUE = 1e-12
-_BLINDS = 0.5  # share of what is left that is noise of the angle, where it hides the inertia
 _DIVERGED = 1e3  # responses that a model may leave, and still be said to have one
-_LEAST_LEFT = 0.1  # share of a precision that noise of the angle leaves
 _PLAIN = ((0, 0), (1, 0), (1, 1), (2, 0), (2, 1))  # to which that of a better model may fall
-
-
-@dataclass(frozen=True)
-class Prior:
-    """Prior of one free parameter, in the coordinate in which the evidence is taken.
-
-    Attributes
-    ----------
-    form : {"uniform", "ratio", "size", "compliance", "typical"}
-        Uniform in the parameter or in its logarithm; normal in its distance from where the effect
-        vanishes, which of a stiffness is its compliance; or normal in its logarithm.
-    width : float
-        Of a uniform one the range, of a normal one the standard deviation.
-    null : float
-        Value at which the effect vanishes; of a typical one, the median.
-    one_sided : bool
-        Whether a normal one has only one side.
-    """
-
-    form: Literal["uniform", "ratio", "size", "compliance", "typical"]
-    width: float
-    null: float = 0.0
-    one_sided: bool = False
-
-    @property
-    def sd(self) -> float:
-        """Standard deviation of a normal density of the same height: it too integrates to 1."""
-        return self.width / np.sqrt(2 * np.pi) if self.form in ("uniform", "ratio") else self.width
-
-    def turn(self, value: float) -> float:
-        """Derivative of the parameter with respect to the coordinate."""
-        turns = {"ratio": value, "typical": value, "compliance": -(value**2)}
-        return turns.get(self.form, 1.0)
-
-    def distance(self, value: float) -> float:
-        """Of the coordinate from where the effect vanishes; 0 for what makes none vanish."""
-        if self.form == "compliance":
-            return 1 / value
-        if self.form == "typical":
-            return float(np.log(max(value, 1e-300) / self.null))
-        return value - self.null if self.form == "size" else 0.0
-
-    def log_density(self, value: float) -> float:
-        """Logarithm of the density by the coordinate."""
-        if self.form in ("uniform", "ratio"):
-            return -float(np.log(self.width))
-        normal = -0.5 * (self.distance(value) / self.width) ** 2
-        return float(normal - np.log(self.width * np.sqrt(2 * np.pi) / (1 + self.one_sided)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -345,7 +285,7 @@ class Evaluator:
     def fitted(self, problem: Problem, points: np.ndarray, weights: Weights) -> np.ndarray:
         """Best values of the free parameters in known noise, from given points."""
         weighed = Weighed(problem, self.band, weights)
-        return explore(weighed, points, evaluations=_EVALUATIONS).values
+        return explore(weighed, points, evaluations=EVALUATIONS).values
 
     def reweighed(self, found: Evaluated, contender: Contender) -> Evaluated:
         """A model with its noise sought from another's, where that is better.
@@ -383,18 +323,18 @@ class Evaluator:
         raw, probes = raw_residuals(problem, self.band, x)
         white, probe = weighed.whitened(x)
         residual, jacobian = white[:, 0], white[:, 1:]
-        priors = self.priors(problem, x, raw)
+        priors = priors_of(problem, x, raw, self.band.scale, self.joint_widths)
         turn = np.array([p.turn(value) for p, value in zip(priors, x, strict=True)])
         precision = (jacobian * turn).T @ (jacobian * turn)
         precision += np.diag([p.sd**-2 for p in priors])
         gradient = jacobian.T @ residual
         if probe is not None and probe[:, 0] @ probe[:, 0] < weighed.most_taken:
-            precision = _less(precision, probe[:, 1:] * turn)
+            precision = less(precision, probe[:, 1:] * turn)
             gradient = gradient - probe[:, 1:].T @ probe[:, 0]
         gradient = gradient * turn
         at_lower, at_upper = touching(x, problem.lower, problem.upper)
         at_bound = at_lower | at_upper
-        volume, inside, gains = _log_volume(precision, gradient, at_bound)
+        volume, inside, gains = log_volume(precision, gradient, at_bound)
         order = weights.n_parameters
         n = self.band.n_samples
         share = (weights.estimate.rms / self.band.scale) ** 2
@@ -438,149 +378,3 @@ class Evaluator:
         if name in ("K", "B", "I") or parameter.plain is not None:
             return False
         return parameter.null is None and not parameter.ends_form
-
-    def priors(self, problem: Problem, x: np.ndarray, raw: Sequence[np.ndarray]) -> list[Prior]:
-        """Priors of the free parameters at a point, by what a unit of each adds to the response.
-
-        Parameters
-        ----------
-        problem : Problem
-        x : array, shape (n_free,)
-        raw : sequence of array
-            By stretch, the residual there and its derivatives.
-        """
-        sizes = np.sqrt(np.mean(np.concatenate(raw)[:, 1:] ** 2, axis=0))
-        out = []
-        values = dict(zip(problem.model.parameter_names, problem.complete(x), strict=True))
-        typical = {n: t for e in problem.model.effects for n, t in e.typical(values).items()}
-        for name, value, low, high, size in zip(
-            problem.names, x, problem.lower, problem.upper, sizes, strict=True
-        ):
-            null = problem.model.parameters[name].null
-            if name in ("K", "B", "I"):
-                width = float(self.joint_widths[("K", "B", "I").index(name)])
-                out.append(Prior("uniform", width))
-            elif name in typical:
-                median, spread = typical[name]
-                out.append(Prior("typical", spread, median))
-            elif null is None and low > 0 and high > _DECADE * low:
-                out.append(Prior("ratio", float(np.log(high / low))))
-            elif null is None:
-                out.append(Prior("uniform", float(high - low)))
-            elif np.isfinite(null):
-                width = self.band.scale / max(float(size), 1e-300)
-                out.append(Prior("size", width, null, null in (low, high)))
-            else:
-                width = self.band.scale / max(float(size * value**2), 1e-300)
-                out.append(Prior("compliance", width, one_sided=True))
-        return out
-
-
-def evaluator_of(band: Band, values: Mapping[str, float], *, seed: int = 1) -> Evaluator:
-    """Fit K, B and I with their noise, and make ready to evaluate other models.
-
-    Parameters
-    ----------
-    band : Band
-    values : mapping of str to float
-        K, B and I to start from.
-    seed : int
-        Of the probes.
-
-    Raises
-    ------
-    InputError
-        Where noise of an imposed angle leaves no inertia to be seen.
-    """
-    angle = band.angle_imposed
-    every = contenders(carried=(True,) if angle else (False, True))
-    problem = band.problem(KBI())
-    x, tried = problem.free_vector(values), every
-    reference, shortlist = Reference.of(band, problem.complete(x)[:3], problem, seed), every
-
-    def left_at(x: np.ndarray) -> tuple[Reference, list[np.ndarray], Weights]:
-        here = replace(reference, joint=problem.complete(x)[:3])
-        raw, _ = raw_residuals(problem, band, x)
-        return here, raw, here.weights(raw, tried)
-
-    def without_inertia() -> bool:
-        return angle and bool(touching(x, problem.lower, problem.upper)[0][2])
-
-    start, changes = x, [np.zeros(x.size)]
-    for rounds in range(_REFERENCE_ROUNDS):
-        reference, raw, weights = left_at(x)
-        weighed = Weighed(reference.probe_problem or problem, band, weights, True)
-        before, x = x, explore(weighed, x[None], evaluations=2 * _EVALUATIONS).values
-        # The order is chosen at the start and once more, then kept.
-        tried = every if rounds == 0 else weights.contenders[:1]
-        if rounds <= 1:
-            shortlist = weights.contenders
-        if without_inertia() and weights.excess < _BLINDS * band.n_samples:
-            # Not for noise of the angle: K, B and I are no picture of this joint, such as one whose
-            # torque is recorded late. What they leave tells no colour of the noise.
-            x, tried = start, every
-            reference, raw, weights = left_at(x)
-            shortlist = weights.contenders
-            break
-        larger = np.maximum(np.maximum(np.abs(x), np.abs(before)), 1e-300)
-        changes.append(np.abs(x - before) / larger)
-        if np.max(changes[-1]) < _SETTLED:
-            break
-    hidden = angle and weights.excess >= _BLINDS * band.n_samples
-    if without_inertia() or (hidden and np.max(changes[-2:], axis=0)[2] > _ANYTHING):
-        raise InputError(
-            f"found no inertia that the trials agree on ({before[2]:.2g} kg m², then {x[2]:.2g}) "
-            "once the noise's colour counts: the angle is too coarse for its acceleration; record "
-            "it finer, or impose the torque"
-        )
-    derivatives = np.concatenate(raw)[:, 1:]
-    sizes = np.sqrt(np.mean(derivatives**2, axis=0))
-    widths = _JOINT_RANGE * band.scale / np.maximum(sizes, 1e-300)
-    white = reference.weights(raw, [Contender(Order(0, 0, angle))])
-    return Evaluator(reference, shortlist, widths, (weights, white))
-
-
-def _less(precision: np.ndarray, probe: np.ndarray) -> np.ndarray:
-    """Precision without what noise of the angle adds to it, which by chance may be more than all.
-
-    A share of it is kept in every direction: none is known less than that well.
-    """
-    left, vectors = scipy.linalg.eigh(precision - probe.T @ probe, precision)
-    turned = precision @ vectors
-    return np.asarray(turned * np.maximum(left, _LEAST_LEFT) @ turned.T)
-
-
-def _log_volume(
-    precision: np.ndarray, gradient: np.ndarray, at_bound: np.ndarray
-) -> tuple[float, np.ndarray, dict[int, float]]:
-    """Logarithm of the integral of the posterior about its mode, over its height there.
-
-    Normal in the coordinates inside their bounds; in one at a bound the part of a normal that lies
-    on its side, whose slope there is not 0.
-
-    Returns
-    -------
-    float
-    array of int
-        Coordinates inside.
-    dict of int to float
-        Of those at a bound, how much higher [nats] the posterior would be beyond it.
-    """
-    inside = np.flatnonzero(~at_bound)
-    size = np.sqrt(np.abs(np.diag(precision)))
-    scaled = precision / np.outer(size, size)
-    block = scaled[np.ix_(inside, inside)]
-    eigenvalues = np.maximum(np.linalg.eigvalsh(block), _LEAST_EIGENVALUE)
-    total = 0.5 * inside.size * np.log(2 * np.pi)
-    total -= 0.5 * float(np.sum(np.log(eigenvalues))) + float(np.sum(np.log(size[inside])))
-    gains = {}
-    for i in np.flatnonzero(at_bound):
-        # What the others take over when this one moves inside.
-        taken = scaled[i, inside]
-        others = np.linalg.lstsq(block, taken, rcond=1e-10)[0] if inside.size else np.zeros(0)
-        curvature = max(float(1 - taken @ others), _LEAST_EIGENVALUE) * size[i] ** 2
-        slope = abs(gradient[i]) / np.sqrt(2 * curvature)
-        gains[int(i)] = float(slope**2)
-        total += 0.5 * np.log(np.pi / (2 * curvature))
-        total += float(np.log(max(scipy.special.erfcx(min(slope, 1e8)), 1e-300)))
-    return total, inside, gains
