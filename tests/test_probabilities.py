@@ -37,7 +37,7 @@ from identifiability.investigation.posterior.evidence import Evaluated
 from identifiability.investigation.posterior.growing import growing_noise
 from identifiability.investigation.posterior.laplace import log_volume
 from identifiability.investigation.posterior.noises import Weighed
-from identifiability.investigation.posterior.prior import Prior
+from identifiability.investigation.posterior.prior import Prior, priors_of
 from identifiability.investigation.posterior.reference import evaluator_of
 from identifiability.investigation.posterior.search import _Search
 from identifiability.investigation.posterior.weighing import Weighing
@@ -197,7 +197,8 @@ def test_laplace_agrees_with_sampling(key, hidden):
     found = evaluator.evaluate(model, [start])
     problem = evaluator.band.problem(model, scheme=found.scheme, probes=evaluator.reference.probes)
     weighed = Weighed(problem, evaluator.band, found.weights)
-    priors = evaluator.priors(problem, found.x, found.raw)
+    scale, widths = evaluator.band.scale, evaluator.joint_widths
+    priors = priors_of(problem, found.x, found.raw, scale, widths)
 
     def log_density(x):
         if np.any(x < problem.lower) or np.any(x > problem.upper):
