@@ -25,6 +25,7 @@ from identifiability.investigation.where.view import Panel, View
 from identifiability.investigation.where.views import VIEWS
 from identifiability.investigation.where.whitening import Portion, excess, whitening
 from identifiability.investigation.wording.describe import describe
+from identifiability.joint.effects import EFFECTS
 from identifiability.joint.effects.coulomb_friction import CoulombFriction
 from identifiability.joint.effects.cubic_stiffness import CubicStiffness
 from identifiability.joint.effects.quadratic_stiffness import QuadraticStiffness
@@ -585,3 +586,16 @@ def test_the_overlay_shows_at_most_eight_trials():
     left = np.asarray(measured.get_ydata()) - np.asarray(first.get_ydata())
     assert left == pytest.approx(before.fitted.by_trial[0])
     assert ready.response == pytest.approx(np.asarray(measured.get_ydata()))
+
+
+def test_the_names_of_long_models_stay_inside_the_figure():
+    bench, before = fitted(recorded(*TENDON)[:1])
+    keys = ("gravity", "coulomb_friction", "sensor_delay", "sensor_lowpass")
+    after = replace(before, model=sum((EFFECTS[key]() for key in keys), KBI()))
+    figure = responses_figure(bench.split, before, after)
+    canvas = FigureCanvasAgg(figure)
+    canvas.draw()
+    (legend,) = figure.legends
+    box, page = legend.get_window_extent(canvas.get_renderer()), figure.bbox
+    assert page.x0 <= box.x0
+    assert box.x1 <= page.x1

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from textwrap import fill
 from typing import Literal
 
 import numpy as np
@@ -23,6 +24,7 @@ from identifiability.palette import BLACK, BLUE, GREY, SKY, VERMILLION
 from identifiability.plots.style import LONGEST_SHOWN, styled
 
 _MOST_TRIALS, _COLUMNS = 8, 4
+_LETTER, _BESIDE_LABELS = 0.085, 2.0  # of a legend [inch]: width of a letter, and of all else
 _CELLS = 12  # of a row: divided evenly by whatever number of columns its panels have
 _BEFORE = 0.05  # seconds before the first perturbation that are shown
 _UNITS = {"torque": "rad", "angle": "Nm"}  # of the response to it
@@ -81,7 +83,8 @@ def responses_figure(
             axes[2 * row, column].set_visible(False)
             axes[2 * row + 1, column].set_visible(False)
         handles = [axes[0, 0].lines[k] for k in range(1 + len(models))]
-        labels = ["measured", *(label for _, label, _ in models)]
+        room = int((figure.get_figwidth() - _BESIDE_LABELS) / (_LETTER * len(models)))
+        labels = ["measured", *(fill(label, room) for _, label, _ in models)]
         figure.legend(handles, labels, loc="outside upper center", ncols=len(handles))
         more = len(trials) - len(shown)
         if more:
