@@ -18,7 +18,7 @@ from identifiability.inference.likelihood.estimate import (
     estimate_noise,
 )
 from identifiability.inference.likelihood.processes import Process, ProcessSum
-from identifiability.inference.likelihood.profiled import scaled_residuals, slopes
+from identifiability.inference.likelihood.profiled import Residuals, scaled_residuals, slopes
 from identifiability.inference.recordings import fit_with_noise
 from identifiability.measurement.perturbations import imposed_motion
 from identifiability.measurement.prepared import prepare_whole_band
@@ -119,12 +119,12 @@ def test_the_sum_of_squares_is_the_restricted_likelihood():
         for those in (stretches[:2], stretches[2:])
     ]
     carried = np.array([1.0, -0.6]), np.array([0.4, 0.3])
-    arguments = (1, 1, carried, np.concatenate(columns), lengths, numbers, k)
+    sought_in = Residuals(1, 1, carried, np.concatenate(columns), lengths, numbers, k)
     values = np.array([-0.5, 0.3, -0.4])
     other = np.array([-1.2, 0.1, 0.6])
 
     def cost(values):
-        scaled, freedom = scaled_residuals(values, *arguments)
+        scaled, freedom = scaled_residuals(values, sought_in)
         return 0.5 * freedom * np.log(scaled @ scaled / freedom)
 
     assert cost(other) - cost(values) == pytest.approx(
@@ -136,15 +136,15 @@ def test_the_sum_of_squares_is_the_restricted_likelihood():
     full = np.column_stack(
         [
             (
-                scaled_residuals(values + step * axis, *arguments)[0]
-                - scaled_residuals(values - step * axis, *arguments)[0]
+                scaled_residuals(values + step * axis, sought_in)[0]
+                - scaled_residuals(values - step * axis, sought_in)[0]
             )
             / (2 * step)
             for axis in np.eye(3)
         ]
     )
-    here = scaled_residuals(values, *arguments)[0]
-    few = slopes(values, 3, 1e-5, *arguments)
+    here = scaled_residuals(values, sought_in)[0]
+    few = slopes(values, sought_in, 3, 1e-5)
     np.testing.assert_allclose(few.T @ few, full.T @ full, rtol=1e-4)
     np.testing.assert_allclose(few[0] * np.linalg.norm(here), here @ full, rtol=1e-3)
 

@@ -108,14 +108,18 @@ def covariance(parts: Filters, n: int, beside: np.ndarray) -> tuple[np.ndarray, 
                 moving = product(moving, parts[other][0])
         response = impulse_response(own, ma, moving.size)
         first = autocovariance(own, ma, head)
+        across, later = np.zeros(width + 1), np.zeros(width + 1)
+        for lag in range(width + 1):
+            across[lag] = shared_shocks(moving, response, lag)
+            later[lag] = shared_shocks(moving, moving, lag)
         for t in range(len(rows)):
             for lag in range(min(t, width) + 1):
                 if t < head:
                     rows[t, lag] += first[lag]
                 elif t - lag < head:
-                    rows[t, lag] += shared_shocks(moving, response, lag)
+                    rows[t, lag] += across[lag]
                 else:
-                    rows[t, lag] += shared_shocks(moving, moving, lag)
+                    rows[t, lag] += later[lag]
     if beside.size:
         for t in range(n):
             for lag in range(min(t, head) + 1):

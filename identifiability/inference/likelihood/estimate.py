@@ -19,7 +19,12 @@ from scipy.signal import lfilter
 
 from identifiability.files import plain
 from identifiability.inference.likelihood.processes import Process, ProcessSum
-from identifiability.inference.likelihood.profiled import polynomial, scaled_residuals, slopes
+from identifiability.inference.likelihood.profiled import (
+    Residuals,
+    polynomial,
+    scaled_residuals,
+    slopes,
+)
 
 _ARMA = ((0, 0), (1, 0), (0, 1), (1, 1), (2, 0), (2, 1), (2, 2), (3, 3))
 
@@ -366,18 +371,18 @@ class _Sample:
     def cost(self, order: Order, values: np.ndarray, *, restricted: bool) -> float:
         """Minus the log likelihood, the level of the noise and those of stretches profiled out."""
         try:
-            scaled, freedom = scaled_residuals(values, *self._arguments(order, restricted))
+            scaled, freedom = scaled_residuals(values, self._left(order, restricted))
         except np.linalg.LinAlgError:
             return np.inf
         return 0.5 * freedom * float(np.log(scaled @ scaled / freedom))
 
-    def _arguments(self, order: Order, restricted: bool) -> tuple[Any, ...]:
-        """Those of `scaled_residuals` behind the values."""
+    def _left(self, order: Order, restricted: bool) -> Residuals:
+        """The residuals, with what a fit took out of them where that counts."""
         carried = _NO_PROCESS
         if order.carried and self.carried is not None:
             carried = self.carried.ar, self.carried.sd * self.carried.ma
         columns, k = (self._both, self.k) if restricted else (self._residuals, 0)
-        return order.p, order.q, carried, columns, self._lengths, self._numbers, k
+        return Residuals(order.p, order.q, carried, columns, self._lengths, self._numbers, k)
 
     def fitted(
         self, order: Order, start: np.ndarray, *, restricted: bool, held: bool = False
@@ -390,16 +395,16 @@ class _Sample:
         tail = start[n_free:]
         if not n_free:
             return start, self.cost(order, start, restricted=restricted), True
-        arguments = self._arguments(order, restricted)
+        left = self._left(order, restricted)
 
         # The optimiser needs lengths and angles alone. With the residual along the first of few
         # axes these are cheaper to have than with one axis a sample.
         def along(values: np.ndarray) -> np.ndarray:
-            found, _ = scaled_residuals(np.append(values, tail), *arguments)
+            found, _ = scaled_residuals(np.append(values, tail), left)
             return np.append(min(float(np.sqrt(found @ found)), _HUGE), np.zeros(n_free))
 
         def change(values: np.ndarray) -> np.ndarray:
-            found: np.ndarray = slopes(np.append(values, tail), n_free, _STEP, *arguments)
+            found: np.ndarray = slopes(np.append(values, tail), left, n_free, _STEP)
             return found
 
         lower = np.full(order.size, -_MOST_CORRELATED)

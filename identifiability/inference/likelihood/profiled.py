@@ -6,6 +6,8 @@ factor. To find a noise is then a problem of least squares.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from identifiability.inference.likelihood.banded import (
@@ -28,27 +30,18 @@ def polynomial(partial: np.ndarray) -> np.ndarray:
     return found
 
 
-@compiled_loop
-def scaled_residuals(
-    values: np.ndarray,
-    p: int,
-    q: int,
-    carried: tuple[np.ndarray, np.ndarray],
-    columns: np.ndarray,
-    lengths: np.ndarray,
-    numbers: np.ndarray,
-    k: int,
-) -> tuple[np.ndarray, int]:
-    """Whitened residuals times the root of the mean variance, and their degrees of freedom.
+class Residuals(NamedTuple):
+    """What a noise is sought in, and of which order; its parameters are `values`.
 
-    Parameters
+    Those are inverse hyperbolic tangents of the p and q partial autocorrelations of the
+    instrument's own noise, then the logarithm of a factor of what came in through the joint, where
+    that is sought.
+
+    Attributes
     ----------
-    values : array, shape (p + q,) or (p + q + 1,)
-        Inverse hyperbolic tangents of the partial autocorrelations of the instrument's own noise,
-        then the logarithm of a factor of what came in through the joint, where that is sought.
     p, q : int
     carried : tuple of array
-        Its autoregression and moving average; the latter of zeros where there is none.
+        Autoregression and moving average of what came in; the latter of zeros where nothing did.
     columns : array
         For each length of stretches, one after the other, their residuals side by side, then the
         `k` derivatives of each; by rows.
@@ -57,6 +50,25 @@ def scaled_residuals(
     k : int
         Directions that a fit took out of the residuals; none for the likelihood that is not
         restricted.
+    """
+
+    p: int
+    q: int
+    carried: tuple[np.ndarray, np.ndarray]
+    columns: np.ndarray
+    lengths: np.ndarray
+    numbers: np.ndarray
+    k: int
+
+
+@compiled_loop
+def scaled_residuals(values: np.ndarray, left: Residuals) -> tuple[np.ndarray, int]:
+    """Whitened residuals times the root of the mean variance, and their degrees of freedom.
+
+    Parameters
+    ----------
+    values : array, shape (p + q,) or (p + q + 1,)
+    left : Residuals
 
     Returns
     -------
@@ -64,6 +76,7 @@ def scaled_residuals(
         Infinite where the noise has no likelihood.
     int
     """
+    p, q, carried, columns, lengths, numbers, k = left
     longest, total = lengths.max(), int(np.sum(lengths * numbers))
     partial = np.tanh(values[: p + q])
     own = (polynomial(partial[:p]), polynomial(partial[p:]))
@@ -104,18 +117,7 @@ def scaled_residuals(
 
 
 @compiled_loop
-def slopes(
-    values: np.ndarray,
-    n_free: int,
-    step: float,
-    p: int,
-    q: int,
-    carried: tuple[np.ndarray, np.ndarray],
-    columns: np.ndarray,
-    lengths: np.ndarray,
-    numbers: np.ndarray,
-    k: int,
-) -> np.ndarray:
+def slopes(values: np.ndarray, left: Residuals, n_free: int, step: float) -> np.ndarray:
     """Derivatives of `scaled_residuals` by the first values, as an optimiser needs them.
 
     That is their lengths and angles: the residuals lie along the first of `n_free` + 1 axes.
@@ -123,26 +125,25 @@ def slopes(
     Parameters
     ----------
     values : array
+    left : Residuals
     n_free : int
-        How many of them.
+        How many of the values.
     step : float
         Of differences, towards 0.
-    p, q, carried, columns, lengths, numbers, k
-        See `scaled_residuals`.
 
     Returns
     -------
     array, shape (n_free + 1, n_free)
         Of zeros where the noise has no likelihood.
     """
-    here, _ = scaled_residuals(values, p, q, carried, columns, lengths, numbers, k)
+    here, _ = scaled_residuals(values, left)
     if not np.isfinite(here[0]):
         return np.zeros((n_free + 1, n_free))
     change = np.zeros((here.size, n_free))
     for i in range(n_free):
         moved = values.copy()
         moved[i] += step if values[i] < 0 else -step
-        there, _ = scaled_residuals(moved, p, q, carried, columns, lengths, numbers, k)
+        there, _ = scaled_residuals(moved, left)
         if np.isfinite(there[0]):
             change[:, i] = (there - here) / (moved[i] - values[i])
     direction = here / np.sqrt(np.sum(here**2))

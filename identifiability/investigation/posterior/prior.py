@@ -70,8 +70,12 @@ class Prior:
 
 def joint_widths_of(raw: Sequence[np.ndarray], scale: float) -> np.ndarray:
     """Ranges of K, B and I, shape (3,), from what `raw_residuals` gives of this model alone."""
-    sizes = np.sqrt(np.mean(np.concatenate(raw)[:, 1:] ** 2, axis=0))
-    return np.asarray(_JOINT_RANGE * scale / np.maximum(sizes, 1e-300))
+    return _JOINT_RANGE * scale / np.maximum(_sizes(raw), 1e-300)
+
+
+def _sizes(raw: Sequence[np.ndarray]) -> np.ndarray:
+    """Root mean square of what a unit of each free parameter adds to the response."""
+    return np.asarray(np.sqrt(np.mean(np.concatenate(raw)[:, 1:] ** 2, axis=0)))
 
 
 def priors_of(
@@ -94,12 +98,11 @@ def priors_of(
     joint_widths : array, shape (3,)
         Ranges of K, B and I.
     """
-    sizes = np.sqrt(np.mean(np.concatenate(raw)[:, 1:] ** 2, axis=0))
     out = []
     values = dict(zip(problem.model.parameter_names, problem.complete(x), strict=True))
     typical = {n: t for e in problem.model.effects for n, t in e.typical(values).items()}
     for name, value, low, high, size in zip(
-        problem.names, x, problem.lower, problem.upper, sizes, strict=True
+        problem.names, x, problem.lower, problem.upper, _sizes(raw), strict=True
     ):
         null = problem.model.parameters[name].null
         if name in ("K", "B", "I"):
