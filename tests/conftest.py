@@ -1,6 +1,7 @@
 """What all tests share: compiled programs kept between sessions, long runs on demand, test data."""
 
 import os
+import warnings
 from functools import partial
 from pathlib import Path
 
@@ -21,6 +22,14 @@ SHARED = Path(__file__).resolve().parents[2] / "shared" / "data"
 settings.register_profile("repeatable", deadline=None, derandomize=True)
 settings.register_profile("search", deadline=None, max_examples=500)
 settings.load_profile("repeatable")
+
+
+def pytest_configure(config):
+    """Import ArviZ before the workers do: 0.x, imported by two at once, fails once a day."""
+    if not hasattr(config, "workerinput"):
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            import arviz  # noqa: F401
 
 
 def pytest_collection_modifyitems(config, items):

@@ -1,6 +1,5 @@
-"""The effects that are held to the contract, run all alike so that little has to be compiled."""
+"""The effects that are held to the contract, and how they are run."""
 
-import jax
 import numpy as np
 
 from identifiability.joint.effects import (
@@ -10,10 +9,9 @@ from identifiability.joint.effects import (
     StiffeningHysteresis,
 )
 from identifiability.joint.effects.base import Effect
-from identifiability.joint.integrator import integrate
 from identifiability.joint.parameters import Parameter
-from identifiability.joint.programs import quickly_compiled
-from identifiability.joint.response import drive_arrays
+from identifiability.joint.response import simulate
+from identifiability.joint.scheme import Scheme
 from identifiability.measurement.perturbations import SampledTorque, imposed_motion
 
 
@@ -37,9 +35,7 @@ DESCRIPTIONS = (LooseCoupling, RelaxationSpectrum, StiffeningHysteresis)
 KINDS = EFFECTS | {kind.key: kind for kind in (*DESCRIPTIONS, ParallelSpring)}
 LINEAR = [key for key in sorted(KINDS) if KINDS[key].linear]
 
-# All runs have this many samples and go in batches of this size: two compilations for each model.
 TIME = np.arange(201) * 1e-3
-BATCH = 64
 BUMP = np.where(TIME < 0.1, np.sin(np.pi * TIME / 0.1) ** 4, 0.0)
 TORQUE = 10 * BUMP
 DRIVES = {
@@ -86,18 +82,4 @@ def nulls_of(effect):
 
 def respond(model, values, drive, order=4):
     """Integrated responses with one step a sample, shape (..., 201)."""
-    values = np.asarray(values)
-    flat = values.reshape(-1, values.shape[-1])
-    full = np.concatenate([flat, np.repeat(flat[-1:], -len(flat) % BATCH, axis=0)])
-    arrays = drive_arrays(drive)
-    parts = [
-        np.asarray(_responses((model, order), full[i : i + BATCH], arrays))
-        for i in range(0, len(full), BATCH)
-    ]
-    return np.concatenate(parts)[: len(flat)].reshape(*values.shape[:-1], -1)
-
-
-@quickly_compiled
-def _responses(kind, thetas, arrays):
-    model, order = kind
-    return jax.vmap(lambda theta: integrate(model, theta, arrays, 1, order))(thetas)
+    return simulate(model, values, drive, scheme=Scheme(1, order))

@@ -26,8 +26,10 @@ from identifiability.joint.effects import EFFECTS
 from identifiability.joint.effects.base import Effect, Motion
 from identifiability.joint.integrator import integrate
 from identifiability.joint.model import KBI, Model
+from identifiability.joint.native.response import responses_of
 from identifiability.joint.programs import compiled
 from identifiability.joint.response import drive_arrays, exact_response, simulate
+from identifiability.joint.scheme import EXACT, Scheme
 from identifiability.measurement.perturbations import Drive, SampledTorque, imposed_motion
 
 # Smooth in pieces: their rates have corners, at rest (short range), at the threshold and where
@@ -261,9 +263,14 @@ def test_derivatives_are_right(team, driven):
     shifts = step * np.array([-2, -1, 1, 2])
     points = values + shifts[:, None, None] * np.diag(size)
     expected = differences(respond(model, points, drive), step).T
-    found = np.asarray(slopes(Response(model), values, size, drive_arrays(drive))[1])
+    response, found = map(np.asarray, slopes(Response(model), values, size, drive_arrays(drive)))
     for column in range(values.size):
         agree(found[:, column], expected[:, column], 1e-6)
+    # Machine code and JAX take the same steps.
+    both = np.column_stack([response, found / size])
+    code = responses_of(model, tuple(range(values.size)), [drive], Scheme(1)).at(values)[0]
+    for column in range(values.size + 1):
+        agree(code[:, column], both[:, column], 1e-9)
     # Each of the effects' own parameters matters.
     assert np.all(np.max(np.abs(found[:, 3:]), axis=0) > 1e-7 * np.max(np.abs(found)))
 
@@ -290,10 +297,15 @@ def test_integrated_and_exact_responses_agree(driven):
     values = values_of(model)
     # Steps are exact for a torque that is linear within them, but not for an imposed motion.
     rtol = 1e-9 if driven == "torque" else 1e-6
-    data = (np.abs(values), drive_arrays(drive))
-    response, expected = slopes(Response(model, exact=True), values, *data)
-    agree(respond(model, values, drive), response, rtol)
-    agree(slopes(Response(model), values, *data)[1], expected, rtol)
+    size = np.abs(values)
+    response, expected = slopes(Response(model, exact=True), values, size, drive_arrays(drive))
+    exact, steps = (
+        responses_of(model, tuple(range(values.size)), [drive], scheme).at(values)[0]
+        for scheme in (EXACT, Scheme(1))
+    )
+    for found, tolerance in ((exact, 1e-9), (steps, rtol)):
+        agree(found[:, 0], response, tolerance)
+        agree(found[:, 1:] * size, expected, tolerance)
 
 
 def test_no_answer_before_its_cause(effect):

@@ -10,6 +10,7 @@ It is made for many short chains, of which none needs to have explored the poste
 from __future__ import annotations
 
 import warnings
+from types import ModuleType
 from dataclasses import dataclass
 
 import numpy as np
@@ -140,6 +141,17 @@ def _normal_scores(x: np.ndarray) -> np.ndarray:
     return np.asarray(ndtri((rankdata(x).reshape(x.shape) - 0.375) / (x.size + 0.25)))
 
 
+def _arviz() -> ModuleType:
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", FutureWarning)  # 0.x announces 1.x at every import
+        try:
+            import arviz
+        except FileNotFoundError:
+            # It notes on which day it announced that; another process has just moved that note.
+            import arviz
+    return arviz
+
+
 def diagnose(
     draws: np.ndarray, names: tuple[str, ...]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -156,10 +168,7 @@ def diagnose(
     """
     import xarray
 
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", FutureWarning)  # 0.x announces 1.x at every import
-        import arviz
-
+    arviz = _arviz()
     if hasattr(arviz, "Numba"):
         arviz.Numba.disable_numba()  # in 0.x what it compiles fails with NumPy 2
     data = xarray.Dataset(

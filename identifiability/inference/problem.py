@@ -22,9 +22,11 @@ from jax.typing import ArrayLike
 from identifiability.errors import InputError
 from identifiability.inference.likelihood import coloured
 from identifiability.inference.likelihood.coloured import Colour, ColourArrays
+from identifiability.inference.whitening import sum_levels, take_levels, whiten
 from identifiability.joint.instruments import readings_of
 from identifiability.joint.integrator import integrate
 from identifiability.joint.model import Model
+from identifiability.joint.native.response import Responses, responses_of
 from identifiability.joint.programs import THREADS, compiled, make_room
 from identifiability.joint.response import exact_response
 from identifiability.joint.scheme import Scheme
@@ -189,12 +191,8 @@ def _stack(
             row[: len(array)] = array
         return stacked
 
-    # Offsets are numbered through all trials; their number is padded too, to compile less often.
-    firsts: list[int] = []
-    used = 0
-    for o in observations:
-        firsts.append(firsts[-1] if o.continues else used)
-        used = max(used, firsts[-1] + o.n_offsets)
+    firsts, used = _segments(observations)
+    # Their number is padded too, to compile less often.
     n_offsets = 0 if used == 0 else 1 << (used - 1).bit_length()
     arrays = (
         _common([d.interval for d in drives], rows),
@@ -213,6 +211,16 @@ def _stack(
     )
     arranged = None if colour is None else colour.arrays()
     return Data._make([*(jnp.asarray(array) for array in arrays), arranged])
+
+
+def _segments(observations: Sequence[Observation]) -> tuple[list[int], int]:
+    """Number of each observation's first segment, counted through all trials; how many there are."""
+    firsts: list[int] = []
+    used = 0
+    for o in observations:
+        firsts.append(firsts[-1] if o.continues else used)
+        used = max(used, firsts[-1] + o.n_offsets)
+    return firsts, used
 
 
 def _common(intervals: Sequence[float], rows: int) -> np.ndarray:
@@ -321,6 +329,9 @@ class Problem:
     exact_hessian: bool = True
     colour: Colour | None = None
     _last: local = field(default_factory=local, init=False, repr=False)
+    _responses: dict[tuple[int, ...], Responses | None] = field(
+        default_factory=dict, init=False, repr=False
+    )
 
     def __post_init__(self) -> None:
         unknown = set(self.fixed) - set(self.model.parameter_names)
@@ -481,6 +492,8 @@ class Problem:
 
     def responses(self, x: np.ndarray) -> list[np.ndarray]:
         """Model response of each observation, at all its samples."""
+        if (native := self._native(())) is not None:
+            return [found[:, 0] for found in native.at(self.complete(x))]
         stacked = np.asarray(_responses(self.program, x, self.template, self.data))
         return [y[: o.measured.size] for y, o in zip(stacked, self.observations, strict=False)]
 
@@ -500,10 +513,42 @@ class Problem:
         # Optimisers ask for both at the same point, one after the other: compute them together.
         x, last = np.asarray(x, float), self._last
         if not hasattr(last, "x") or not np.array_equal(last.x, x):
-            both = _linearised(self.program, x, self.template, self.data)
-            last.x, last.both = x.copy(), (np.asarray(both[0]), np.asarray(both[1]))
+            # A colour that depends on the parameters is whitened by what JAX traced.
+            native = self._native(self.free) if self.colour is None else None
+            if native is not None:
+                white = self._whitened(native.at(self.complete(x)))
+                last.both = white[:, 0].copy(), white[:, 1:].copy()
+            else:
+                both = _linearised(self.program, x, self.template, self.data)
+                last.both = np.asarray(both[0]), np.asarray(both[1])
+            last.x = x.copy()
         found: tuple[np.ndarray, np.ndarray] = last.both
         return found
+
+    def _native(self, free: tuple[int, ...]) -> Responses | None:
+        """Responses by machine code, with derivatives by some parameters, where it can."""
+        if free not in self._responses:
+            drives = [o.drive for o in self.observations]
+            self._responses[free] = responses_of(self.model, free, drives, self.integration)
+        return self._responses[free]
+
+    def _whitened(self, responses: Sequence[np.ndarray]) -> np.ndarray:
+        """Whitened residuals with their derivatives, of all observations in one row."""
+        every = self.observations
+        longest = max(self.room[1], *(o.measured.size for o in every))
+        shape = max(len(every), self.room[0]), longest, responses[0].shape[1]
+        white = np.zeros(shape)
+        for o, response, out in zip(every, responses, white, strict=False):
+            whiten(response, o.measured, o.scale, o.carry, o.previous, out)
+        firsts, used = _segments(every)
+        if used:
+            sums = np.zeros((used, shape[2]))
+            numbered = [o.segment + first for o, first in zip(every, firsts, strict=True)]
+            for o, segment, out in zip(every, numbered, white, strict=False):
+                sum_levels(out, o.constant, segment, sums)
+            for o, segment, out in zip(every, numbered, white, strict=False):
+                take_levels(out, o.constant, segment, sums)
+        return white.reshape(-1, shape[2])
 
     def hessian(self, x: np.ndarray) -> np.ndarray:
         """Second derivatives of the negative log likelihood, shape (n_free, n_free)."""

@@ -1,0 +1,151 @@
+"""Machine code of scalar expressions."""
+
+from __future__ import annotations
+
+import ctypes
+import sys
+from collections.abc import Sequence
+from functools import cache
+from threading import Lock
+
+import llvmlite.binding as llvm
+import numpy as np
+from llvmlite import ir
+
+from identifiability.joint.native.expressions import COMPARISONS, Graph
+
+_NUMBER, _TRUTH = ir.DoubleType(), ir.IntType(1)
+_SIGNS = {"lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "==", "ne": "!="}
+_BINARY = {"add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv"}
+_INTRINSIC = {"abs": "fabs", "sqrt": "sqrt", "floor": "floor", "ceil": "ceil"}
+# Of the C library that Python itself is linked to.
+_LIBRARY = ("exp", "expm1", "log", "log1p", "sin", "cos", "tan", "sinh", "cosh", "tanh", "atan")
+
+_POINTER = ctypes.POINTER(ctypes.c_double)
+_FUNCTION = ctypes.CFUNCTYPE(None, _POINTER, _POINTER)
+
+_compiling = Lock()
+
+
+class Code:
+    """A compiled function ``f(inputs, outputs)`` of pointers to double.
+
+    Attributes
+    ----------
+    address : int
+    """
+
+    def __init__(self, graph: Graph, outputs: Sequence[int]) -> None:
+        text = _Writer(graph, outputs).text
+        with _compiling:
+            module, machine = llvm.parse_assembly(text), _machine()
+            module.triple = machine.triple
+            module.verify()
+            # As long as it lives, so does its code; the machine is its own from here on.
+            self._engine = llvm.create_mcjit_compiler(module, machine)
+            self._engine.finalize_object()
+            self.address: int = self._engine.get_function_address("f")
+        self._call = _FUNCTION(self.address)
+
+    def __call__(self, given: np.ndarray, n_outputs: int) -> np.ndarray:
+        """Outputs of a row of inputs."""
+        out = np.zeros(n_outputs)
+        self._call(given.ctypes.data_as(_POINTER), out.ctypes.data_as(_POINTER))
+        return out
+
+
+@cache
+def _target() -> llvm.Target:
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+    library = ctypes.CDLL("ucrtbase" if sys.platform == "win32" else None)
+    for name in ("pow", *_LIBRARY):
+        llvm.add_symbol(name, ctypes.cast(getattr(library, name), ctypes.c_void_p).value)
+    return llvm.Target.from_default_triple()
+
+
+def _machine() -> llvm.TargetMachine:
+    features = llvm.get_host_cpu_features().flatten()
+    return _target().create_target_machine(
+        cpu=llvm.get_host_cpu_name(), features=features, opt=2
+    )
+
+
+class _Writer:
+    def __init__(self, graph: Graph, outputs: Sequence[int]) -> None:
+        self.module = ir.Module(name="expressions")
+        self.functions: dict[str, ir.Function] = {}
+        pointer = _NUMBER.as_pointer()
+        function = ir.Function(self.module, ir.FunctionType(ir.VoidType(), [pointer] * 2), "f")
+        self.builder = ir.IRBuilder(function.append_basic_block())
+        self.given, out = function.args
+        made: dict[int, ir.Value] = {}
+        for a in graph.reached(outputs):
+            operation, *args = graph.nodes[a]
+            made[a] = (
+                self.leaf(operation, args[0])
+                if operation in ("input", "constant")
+                else self.operation(operation, [made[b] for b in args])
+            )
+        for i, a in enumerate(outputs):
+            self.builder.store(made[a], self.at(out, i))
+        self.builder.ret_void()
+
+    @property
+    def text(self) -> str:
+        return str(self.module)
+
+    def at(self, pointer: ir.Value, i: int) -> ir.Value:
+        place = ir.Constant(ir.IntType(64), i)
+        return self.builder.gep(pointer, [place], source_etype=_NUMBER)
+
+    def leaf(self, kind: str, value: float | bool) -> ir.Value:
+        if kind == "input":
+            return self.builder.load(self.at(self.given, int(value)), typ=_NUMBER)
+        return ir.Constant(_TRUTH if isinstance(value, bool) else _NUMBER, value)
+
+    def operation(self, name: str, args: list[ir.Value]) -> ir.Value:
+        build, zero = self.builder, ir.Constant(_NUMBER, 0.0)
+        if name in _BINARY:
+            return getattr(build, _BINARY[name])(*args)
+        if name in COMPARISONS:
+            compare = build.fcmp_unordered if name == "ne" else build.fcmp_ordered
+            return compare(_SIGNS[name], *args)
+        if name in ("max", "min"):
+            # What is not a number stays so.
+            first = build.fcmp_ordered(">" if name == "max" else "<", *args)
+            unlike = build.fcmp_unordered("uno", args[0], zero)
+            return build.select(build.or_(first, unlike), *args)
+        match name:
+            case "neg":
+                return build.fneg(args[0])
+            case "stop":
+                return args[0]
+            case "select":
+                return build.select(args[0], args[2], args[1])
+            case "not":
+                return build.not_(args[0])
+            case "and":
+                return build.and_(*args)
+            case "or":
+                return build.or_(*args)
+            case "sign":
+                one = ir.Constant(_NUMBER, 1.0)
+                above = build.select(build.fcmp_ordered(">", args[0], zero), one, args[0])
+                return build.select(
+                    build.fcmp_ordered("<", args[0], zero), ir.Constant(_NUMBER, -1.0), above
+                )
+            case "is_finite":
+                size = self.call("llvm.fabs.f64", args)
+                return build.fcmp_ordered("<", size, ir.Constant(_NUMBER, float("inf")))
+        if name in _INTRINSIC:
+            return self.call(f"llvm.{_INTRINSIC[name]}.f64", args)
+        if name == "pow" or name in _LIBRARY:
+            return self.call(name, args)
+        raise NotImplementedError(name)
+
+    def call(self, name: str, args: list[ir.Value]) -> ir.Value:
+        if name not in self.functions:
+            kind = ir.FunctionType(_NUMBER, [_NUMBER] * len(args))
+            self.functions[name] = ir.Function(self.module, kind, name)
+        return self.builder.call(self.functions[name], args)
