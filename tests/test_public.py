@@ -31,7 +31,8 @@ def given(thing):
     if not inspect.isclass(thing):
         return
     if dataclasses.is_dataclass(thing):
-        yield from hints(thing).values()
+        fields = {f.name for f in dataclasses.fields(thing) if not f.name.startswith("_")}
+        yield from (kind for name, kind in hints(thing).items() if name in fields)
     for name, _ in inspect.getmembers(thing):
         member = inspect.getattr_static(thing, name)
         member = member.fget if isinstance(member, property) else member

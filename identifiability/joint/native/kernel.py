@@ -33,12 +33,15 @@ class Kernel:
     model : Model
     free : tuple of int
         Parameters by which there are derivatives.
+    n_delays : int
+        Effects that see the motion that was a delay ago.
     moving, still : Code
         Torque, rates and their derivatives; derivatives at rest, and delays.
     """
 
     model: Model
     free: tuple[int, ...]
+    n_delays: int
     moving: Code
     still: Code
 
@@ -50,9 +53,9 @@ class Kernel:
     def at(self, theta: np.ndarray) -> Machine:
         """The model at one parameter vector."""
         theta = np.ascontiguousarray(theta, float)
-        n, n_delays = self.model.n_internal, len(_delayed(self.model))
+        n = self.model.n_internal
         size = (1 + n) * (2 + n)
-        flat = self.still(theta, (size + n_delays) * self.width).reshape(-1, self.width)
+        flat = self.still(theta, (size + self.n_delays) * self.width).reshape(-1, self.width)
         return Machine(
             self.moving.address,
             theta,
@@ -83,13 +86,9 @@ def kernel_of(model: Model, free: tuple[int, ...]) -> Kernel | None:
     return _kept[key]
 
 
-def _delayed(model: Model) -> list[int]:
-    """Which effects see the motion that was a delay ago."""
-    return [i for i, delay in enumerate(model.delays(model.nominal)) if delay is not None]
-
-
 def _made(model: Model, free: tuple[int, ...]) -> Kernel:
-    n, k, delayed = model.n_internal, len(model.parameter_names), _delayed(model)
+    n, k = model.n_internal, len(model.parameter_names)
+    delayed = [i for i, delay in enumerate(model.delays(model.nominal)) if delay is not None]
 
     def react(theta: Any, moving: Any, past: Any) -> Any:
         motion = Motion(moving[0], moving[1])
@@ -117,4 +116,4 @@ def _made(model: Model, free: tuple[int, ...]) -> Kernel:
     still = [v for one, row in zip(resting, bends, strict=True) for v in (one, *row)]
     if len(graph.nodes) > _MOST:
         raise Untraceable(f"{len(graph.nodes)} expressions")
-    return Kernel(model, free, Code(graph, moving), Code(graph, still))
+    return Kernel(model, free, len(delayed), Code(graph, moving), Code(graph, still))
