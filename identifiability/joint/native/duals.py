@@ -39,18 +39,6 @@ def multiplied(one: np.ndarray, other: np.ndarray, out: np.ndarray) -> None:
 
 
 @compiled_loop
-def add_product(matrix: np.ndarray, vector: np.ndarray, out: np.ndarray, first: int) -> None:
-    """Add the product of a matrix and a vector to a vector, from an entry on."""
-    width = matrix.shape[2]
-    for i in range(first, matrix.shape[0]):
-        for k in range(first, matrix.shape[1]):
-            a, b = matrix[i, k, 0], vector[k, 0]
-            out[i, 0] += a * b
-            for t in range(1, width):
-                out[i, t] += a * vector[k, t] + matrix[i, k, t] * b
-
-
-@compiled_loop
 def _add_identity(matrix: np.ndarray, size: float) -> None:
     for i in range(matrix.shape[0]):
         matrix[i, i, 0] += size

@@ -13,7 +13,7 @@ import numpy as np
 from identifiability.joint.effects.base import Motion
 from identifiability.joint.model import Model
 from identifiability.joint.native.expressions import Graph
-from identifiability.joint.native.machine import Code
+from identifiability.joint.native.machine import LANES, Code, Row
 from identifiability.joint.native.steps import Machine
 from identifiability.joint.native.tracing import Untraceable, expressions_of
 
@@ -35,33 +35,39 @@ class Kernel:
         Parameters by which there are derivatives.
     n_delays : int
         Effects that see the motion that was a delay ago.
-    moving, still : Code
-        Torque, rates and their derivatives; derivatives at rest, and delays.
+    moving : Code
+        Of parameters, angle, velocity, internal states, past motions and applied torque the
+        torque, the acceleration and the rates of the internal states.
+    turning : Code
+        Of the same the derivatives of the internal states' rates by these states.
+    still : Code
+        Of the parameters the derivatives at rest of what is moving, and the delays.
     """
 
     model: Model
     free: tuple[int, ...]
     n_delays: int
     moving: Code
+    turning: Code
     still: Code
 
     @property
     def width(self) -> int:
-        """Number of values and derivatives of what depends on the parameters."""
-        return 1 + len(self.free)
+        """Room for the value and derivatives of what depends on the parameters."""
+        return _wide(self.free)
 
     def at(self, theta: np.ndarray) -> Machine:
         """The model at one parameter vector."""
         theta = np.ascontiguousarray(theta, float)
-        n = self.model.n_internal
-        size = (1 + n) * (2 + n)
-        flat = self.still(theta, (size + self.n_delays) * self.width).reshape(-1, self.width)
+        n = 2 + self.model.n_internal
+        rest = self.still(theta)
         return Machine(
             self.moving.address,
+            self.turning.address,
             theta,
             1 + self.free.index(2) if 2 in self.free else 0,
-            np.ascontiguousarray(flat[:size].reshape(1 + n, 2 + n, self.width)),
-            np.ascontiguousarray(flat[size:]),
+            rest[: n * n].reshape(n, n, self.width),
+            rest[n * n :],
         )
 
 
@@ -86,6 +92,10 @@ def kernel_of(model: Model, free: tuple[int, ...]) -> Kernel | None:
     return _kept[key]
 
 
+def _wide(free: tuple[int, ...]) -> int:
+    return LANES * -(-(1 + len(free)) // LANES)
+
+
 def _made(model: Model, free: tuple[int, ...]) -> Kernel:
     n, k = model.n_internal, len(model.parameter_names)
     delayed = [i for i, delay in enumerate(model.delays(model.nominal)) if delay is not None]
@@ -101,19 +111,32 @@ def _made(model: Model, free: tuple[int, ...]) -> Kernel:
 
     n_past = 2 * len(delayed)
     traced = jax.make_jaxpr(react)(np.zeros(k), np.zeros(2 + n), np.zeros(n_past))
-    graph = Graph()
+    graph, width = Graph(), _wide(free)
     inputs = np.array([graph.input(i) for i in range(k + 2 + n + n_past)], object)
-    given = np.split(inputs, [k, k + 2 + n])
-    torque, rates, *delays = expressions_of(graph, traced, given)
-    outputs = [torque.item(), *rates.tolist()]
+    torque, rates, *delays = expressions_of(graph, traced, np.split(inputs, [k, k + 2 + n]))
+    applied, inertia = graph.input(len(inputs)), graph.input(2)
+    acceleration = graph.of("div", graph.of("sub", applied, torque.item()), inertia)
+    outputs = [torque.item(), acceleration, *rates.tolist()]
     moved = list(range(k, k + 2 + n + n_past))
     slopes = graph.derivatives(outputs, [*free, *moved])
-    moving = [*outputs, *(one for row in slopes for one in row)]
-    by_motion = [one for row in slopes for one in row[len(free) : len(free) + 2 + n]]
-    resting = graph.substituted(by_motion, dict.fromkeys(moved, 0.0))
+    by_motion = [row[len(free) :] for row in slopes]
+    moving = [
+        Row(value, row[: len(free)], by)
+        for value, row, by in zip(outputs, slopes, by_motion, strict=True)
+    ]
+    turning = [Row(one, (), ()) for row in by_motion[2:] for one in row[2 : 2 + n]]
+    by_state = [one for row in by_motion for one in row[: 2 + n]]
+    resting = graph.substituted(by_state, dict.fromkeys([*moved, len(inputs)], 0.0))
     resting += [delay.item() for delay in delays]
     bends = graph.derivatives(resting, free)
-    still = [v for one, row in zip(resting, bends, strict=True) for v in (one, *row)]
+    still = [Row(value, row, ()) for value, row in zip(resting, bends, strict=True)]
     if len(graph.nodes) > _MOST:
         raise Untraceable(f"{len(graph.nodes)} expressions")
-    return Kernel(model, free, len(delayed), Code(graph, moving), Code(graph, still))
+    return Kernel(
+        model,
+        free,
+        len(delayed),
+        Code(graph, moving, width),
+        Code(graph, turning, LANES),
+        Code(graph, still, width),
+    )

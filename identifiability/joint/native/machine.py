@@ -7,6 +7,7 @@ import sys
 from collections.abc import Sequence
 from functools import cache
 from threading import Lock
+from typing import NamedTuple
 
 import llvmlite.binding as llvm
 import numpy as np
@@ -22,21 +23,44 @@ _INTRINSIC = {"abs": "fabs", "sqrt": "sqrt", "floor": "floor", "ceil": "ceil"}
 _LIBRARY = ("exp", "expm1", "log", "log1p", "sin", "cos", "tan", "sinh", "cosh", "tanh", "atan")
 
 _POINTER = ctypes.POINTER(ctypes.c_double)
-_FUNCTION = ctypes.CFUNCTYPE(None, _POINTER, _POINTER)
+_FUNCTION = ctypes.CFUNCTYPE(None, _POINTER, _POINTER, _POINTER)
+
+LANES = 4
+"""Numbers that one instruction takes together."""
+
+_TOGETHER = ir.VectorType(_NUMBER, LANES)
 
 _compiling = Lock()
 
 
+class Row(NamedTuple):
+    """A value that moves with some rows of numbers, and its own derivatives.
+
+    Attributes
+    ----------
+    value : int
+        Expression of it.
+    slopes : sequence of int
+        Its derivatives.
+    by_moved : sequence of int
+        Its derivatives by the first number of each of the rows that move.
+    """
+
+    value: int
+    slopes: Sequence[int]
+    by_moved: Sequence[int]
+
+
 class Code:
-    """A compiled function ``f(inputs, outputs)`` of pointers to double.
+    """A compiled function ``f(inputs, moved, outputs)`` of pointers to double.
 
     Attributes
     ----------
     address : int
     """
 
-    def __init__(self, graph: Graph, outputs: Sequence[int]) -> None:
-        text = _Writer(graph, outputs).text
+    def __init__(self, graph: Graph, rows: Sequence[Row], width: int) -> None:
+        text = _Writer(graph, rows, width).text
         with _compiling:
             module, machine = llvm.parse_assembly(text), _machine()
             module.triple = machine.triple
@@ -45,12 +69,13 @@ class Code:
             self._engine = llvm.create_mcjit_compiler(module, machine)
             self._engine.finalize_object()
             self.address: int = self._engine.get_function_address("f")
-        self._call = _FUNCTION(self.address)
+        self._call, self._shape = _FUNCTION(self.address), (len(rows), width)
 
-    def __call__(self, given: np.ndarray, n_outputs: int) -> np.ndarray:
-        """Outputs of a row of inputs."""
-        out = np.zeros(n_outputs)
-        self._call(given.ctypes.data_as(_POINTER), out.ctypes.data_as(_POINTER))
+    def __call__(self, given: np.ndarray) -> np.ndarray:
+        """Rows of a value and its derivatives, of a row of inputs; nothing else moves."""
+        out = np.zeros(self._shape)
+        pointers = (array.ctypes.data_as(_POINTER) for array in (given, out, out))
+        self._call(*pointers)
         return out
 
 
@@ -71,25 +96,63 @@ def _machine() -> llvm.TargetMachine:
     )
 
 
+def spread(build: ir.IRBuilder, value: ir.Value) -> ir.Value:
+    """The same number in all lanes."""
+    nothing, first = ir.Constant(_TOGETHER, ir.Undefined), ir.Constant(ir.IntType(32), 0)
+    one = build.insert_element(nothing, value, first)
+    return build.shuffle_vector(one, nothing, ir.Constant(ir.VectorType(ir.IntType(32), LANES), [0] * LANES))
+
+
+def together(build: ir.IRBuilder, pointer: ir.Value) -> ir.Value:
+    """Where a number is, as the place of as many as there are lanes."""
+    return build.bitcast(pointer, _TOGETHER.as_pointer())
+
+
 class _Writer:
-    def __init__(self, graph: Graph, outputs: Sequence[int]) -> None:
+    def __init__(self, graph: Graph, rows: Sequence[Row], width: int) -> None:
         self.module = ir.Module(name="expressions")
         self.functions: dict[str, ir.Function] = {}
         pointer = _NUMBER.as_pointer()
-        function = ir.Function(self.module, ir.FunctionType(ir.VoidType(), [pointer] * 2), "f")
+        function = ir.Function(self.module, ir.FunctionType(ir.VoidType(), [pointer] * 3), "f")
         self.builder = ir.IRBuilder(function.append_basic_block())
-        self.given, out = function.args
+        self.given, self.moved, out = function.args
         made: dict[int, ir.Value] = {}
-        for a in graph.reached(outputs):
+        zero = graph.constant(0.0)
+        for a in graph.reached(one for row in rows for one in (row[0], *row[1], *row[2])):
             operation, *args = graph.nodes[a]
             made[a] = (
                 self.leaf(operation, args[0])
                 if operation in ("input", "constant")
                 else self.operation(operation, [made[b] for b in args])
             )
-        for i, a in enumerate(outputs):
-            self.builder.store(made[a], self.at(out, i))
+        for i, row in enumerate(rows):
+            own = [row.value, *row.slopes]
+            own += [zero] * (width - len(own))
+            by_moved = [(j, made[one]) for j, one in enumerate(row.by_moved) if one != zero]
+            for first in range(0, width, LANES):
+                lanes = [made.get(one) for one in own[first : first + LANES]]
+                self.store(lanes, by_moved, out, i * width + first, first, width)
         self.builder.ret_void()
+
+    def store(
+        self,
+        lanes: Sequence[ir.Value | None],
+        by_moved: Sequence[tuple[int, ir.Value]],
+        out: ir.Value,
+        at: int,
+        first: int,
+        width: int,
+    ) -> None:
+        """Write some numbers of a row together, with what they have of the rows that move."""
+        build, total = self.builder, ir.Constant(_TOGETHER, [0.0] * LANES)
+        for k, lane in enumerate(lanes):
+            if lane is not None:
+                total = build.insert_element(total, lane, ir.Constant(ir.IntType(32), k))
+        for j, slope in by_moved:
+            moved = build.load(together(build, self.at(self.moved, j * width + first)), align=8)
+            term = build.fmul(spread(build, slope), moved, flags=["contract"])
+            total = build.fadd(total, term, flags=["contract"])
+        build.store(total, together(build, self.at(out, at)), align=8)
 
     @property
     def text(self) -> str:
@@ -97,11 +160,11 @@ class _Writer:
 
     def at(self, pointer: ir.Value, i: int) -> ir.Value:
         place = ir.Constant(ir.IntType(64), i)
-        return self.builder.gep(pointer, [place], source_etype=_NUMBER)
+        return self.builder.gep(pointer, [place])
 
     def leaf(self, kind: str, value: float | bool) -> ir.Value:
         if kind == "input":
-            return self.builder.load(self.at(self.given, int(value)), typ=_NUMBER)
+            return self.builder.load(self.at(self.given, int(value)))
         return ir.Constant(_TRUTH if isinstance(value, bool) else _NUMBER, value)
 
     def operation(self, name: str, args: list[ir.Value]) -> ir.Value:

@@ -56,7 +56,7 @@ class Responses:
                 integrated(machine, imposed, steps, self.scheme.order, out)
             for sensor in sensors:
                 out = _recorded(self.kernel, sensor, machine.theta, out, imposed.interval)
-            found.append(out[:: self._readings])
+            found.append(out[:: self._readings, : 1 + len(self.kernel.free)])
         return found
 
 
@@ -123,16 +123,15 @@ def _recorded(
     n, width = response.shape
     # Of few shapes. An instrument that reads beyond the end finds what was last.
     longer = int(np.ceil(_SHORTEST * _RATIO ** np.ceil(np.log(n / _SHORTEST) / np.log(_RATIO))))
-    wider = 1 + 4 * -(-(width - 1) // 4)
-    signal = np.zeros((max(longer, n), wider))
-    signal[:n, :width] = response
+    signal = np.zeros((max(longer, n), width))
+    signal[:n] = response
     signal[n:] = signal[n - 1]
-    turned = np.zeros((wider - 1, len(own)))
+    turned = np.zeros((width - 1, len(own)))
     for t, i in enumerate(kernel.free):
         if i in own:
             turned[t, own.index(i)] = 1.0
     found = _seen(_Sensor(model, effect), theta[own], signal, turned, np.array(interval))
-    return np.ascontiguousarray(np.asarray(found)[:n, :width])
+    return np.ascontiguousarray(np.asarray(found)[:n])
 
 
 @compiled

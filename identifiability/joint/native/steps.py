@@ -1,8 +1,9 @@
 """The steps of `integrator` and the exact response of `response`, with first derivatives.
 
-Arrays of what depends on parameters have the value and then each derivative along the last axis. A
-model comes as the address of its code, which makes of ``(parameters, angle, velocity, states, past
-motions)`` the torque, the states' rates, and the derivatives of both.
+Arrays of what depends on parameters have the value and then each derivative along the last axis,
+whose length is a multiple of four. A model comes as the address of its code, which makes of ``(parameters, angle, velocity, states, past
+motions)`` for torque and states' rates a row each: the value and its derivatives by the parameters,
+then those by all that moves.
 
 Both causalities take the same steps of the state [angle, velocity, internal states]: where the
 angle is imposed its first two entries are given.
@@ -16,17 +17,20 @@ from typing import Any, NamedTuple
 import numpy as np
 from llvmlite import ir
 from numba import types
+from numba.core import cgutils
 from numba.extending import intrinsic
 
 from identifiability.joint.native.duals import (
-    add_product,
     added,
     exponential,
+    multiplied,
     phi_functions,
     solved,
 )
+from identifiability.joint.native.machine import LANES, spread, together
 from identifiability.loops import compiled_loop
 
+_POINTER = ir.DoubleType().as_pointer()
 _NEWTON_STEPS = 22
 
 
@@ -35,18 +39,20 @@ class Machine(NamedTuple):
 
     Attributes
     ----------
-    address : int
-        Of the code of its torque and rates.
+    moving, turning : int
+        Addresses of its code, see `Kernel`.
     theta : array, shape (n_parameters,)
     inertia : int
         Which derivative is that by the inertia, from 1; 0 if none.
-    rest : array, shape (1 + n_internal, 2 + n_internal, width)
-        Derivatives of torque and rates at rest by angle, velocity and internal states.
+    rest : array, shape (2 + n_internal, 2 + n_internal, width)
+        Derivatives at rest of torque, acceleration and internal states' rates by angle, velocity
+        and internal states.
     delays : array, shape (n_delays, width)
         In s.
     """
 
-    address: int
+    moving: int
+    turning: int
     theta: np.ndarray
     inertia: int
     rest: np.ndarray
@@ -88,137 +94,203 @@ def _signal(imposed: Imposed, sample: int, place: int, out: np.ndarray) -> None:
 
 
 class _Room(NamedTuple):
-    """Where a model's code reads and writes: all inputs, those that move, and all outputs."""
+    """Where a model's code reads all inputs, and the derivatives of those that move."""
 
     given: np.ndarray
     moved: np.ndarray
-    raw: np.ndarray
 
 
 @intrinsic
-def _run(typing: Any, address: Any, given: Any, out: Any) -> Any:
-    signature = types.void(types.intp, given, out)
+def _run(typing: Any, address: Any, given: Any, moved: Any, out: Any) -> Any:
+    """Call the code at an address."""
+    signature = types.void(types.intp, given, moved, out)
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        pointer = ir.DoubleType().as_pointer()
-        kind = ir.FunctionType(ir.VoidType(), [pointer, pointer])
+        kind = ir.FunctionType(ir.VoidType(), [_POINTER] * 3)
         function = builder.inttoptr(args[0], kind.as_pointer())
-        arrays = [
-            context.make_array(kind_of)(context, builder, value).data
-            for kind_of, value in zip(signature.args[1:], args[1:], strict=True)
-        ]
-        builder.call(function, arrays)
+        builder.call(function, _places(context, builder, signature.args[1:], args[1:]))
         return context.get_dummy_value()
 
     return signature, generate
 
 
+@intrinsic
+def _add_product(
+    typing: Any, matrix: Any, slopes: Any, vector: Any, out: Any, first: Any
+) -> Any:
+    """Add the product of a matrix and a vector to a vector, from an entry on.
+
+    ``out[i, t] += matrix[i, k] vector[k, t] + slopes[i, k, t] vector[k, 0]``, contiguous arrays,
+    several t by one instruction: what the compiler would make of loops takes five times as long.
+    """
+    signature = types.void(matrix, slopes, vector, out, types.intp)
+
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        size = ir.IntType(64)
+        shape = context.make_array(signature.args[2])(context, builder, args[2]).shape
+        n, width = (builder.extract_value(shape, i) for i in range(2))
+        a, da, x, y = _places(context, builder, signature.args[:4], args[:4])
+        lanes, one = ir.Constant(size, LANES), ir.Constant(size, 1)
+
+        def at(pointer: Any, place: Any) -> Any:
+            return builder.gep(pointer, [place])
+
+        def read(pointer: Any, place: Any) -> Any:
+            return builder.load(together(builder, at(pointer, place)), align=8)
+
+        def add(total: Any, one: Any, other: Any) -> Any:
+            term = builder.fmul(one, other, flags=["contract"])
+            return builder.fadd(total, term, flags=["contract"])
+
+        total = cgutils.alloca_once(builder, ir.VectorType(ir.DoubleType(), LANES))
+        ends = (args[4], n, one)
+        with cgutils.for_range_slice(builder, *ends) as (i, _):
+            with cgutils.for_range_slice(builder, ir.Constant(size, 0), width, lanes) as (t, _):
+                target = builder.add(builder.mul(i, width), t)
+                builder.store(read(y, target), total)
+                with cgutils.for_range_slice(builder, *ends) as (k, _):
+                    entry, row = builder.add(builder.mul(i, n), k), builder.mul(k, width)
+                    value = builder.load(at(a, entry))
+                    first = builder.load(at(x, row))
+                    known = builder.load(total)
+                    known = add(known, spread(builder, value), read(x, builder.add(row, t)))
+                    slope = read(da, builder.add(builder.mul(entry, width), t))
+                    builder.store(add(known, slope, spread(builder, first)), total)
+                known = builder.load(total)
+                builder.store(known, together(builder, at(y, target)), align=8)
+        return context.get_dummy_value()
+
+    return signature, generate
+
+
+def _places(context: Any, builder: Any, kinds: Any, arrays: Any) -> list[Any]:
+    """Where the data of arrays begin."""
+    return [
+        context.make_array(kind)(context, builder, array).data
+        for kind, array in zip(kinds, arrays, strict=True)
+    ]
+
+
 @compiled_loop
 def _react(
-    machine: Machine, state: np.ndarray, past: np.ndarray, room: _Room, out: np.ndarray
+    machine: Machine,
+    state: np.ndarray,
+    past: np.ndarray,
+    applied: float,
+    room: _Room,
+    out: np.ndarray,
 ) -> None:
-    """Torque and rates of the internal states, shape (1 + n_internal, width)."""
+    """Torque, acceleration and rates of the internal states, shape (2 + n_internal, width)."""
     first, (n, width), n_past = machine.theta.size, state.shape, past.shape[0]
     for j in range(n):
         room.given[first + j] = state[j, 0]
-        for t in range(width):
+        for t in range(1, width):
             room.moved[j, t] = state[j, t]
     for j in range(n_past):
         room.given[first + n + j] = past[j, 0]
-        for t in range(width):
-            room.moved[n + j, t] = past[j, t]
-    _run(machine.address, room.given, room.raw)
-    rows, columns = out.shape[0], width - 1 + n + n_past
-    for i in range(rows):
-        at = rows + i * columns
-        out[i, 0] = room.raw[i]
         for t in range(1, width):
-            out[i, t] = room.raw[at + t - 1]
-        for j in range(n + n_past):
-            slope = room.raw[at + width - 1 + j]
-            if slope != 0.0:
-                for t in range(1, width):
-                    out[i, t] += slope * room.moved[j, t]
+            room.moved[n + j, t] = past[j, t]
+    room.given[first + n + n_past] = applied
+    _run(machine.moving, room.given, room.moved, out)
 
 
 @compiled_loop
-def _over_inertia(machine: Machine, torque: np.ndarray, size: float, out: np.ndarray) -> None:
-    """``size torque / I`` into `out`, both of shape (width,)."""
-    for t in range(out.size):
-        out[t] = size * torque[t] / machine.theta[2]
+def _over_inertia(machine: Machine, torque: float, out: np.ndarray) -> None:
+    """Add the acceleration by a torque [Nm], with its derivative."""
+    out[0] += torque / machine.theta[2]
     if machine.inertia:
-        out[machine.inertia] -= out[0] / machine.theta[2]
+        out[machine.inertia] -= torque / machine.theta[2] ** 2
 
 
 @compiled_loop
 def _linear_part(machine: Machine, angle: bool) -> np.ndarray:
     """Derivatives at rest of the rates of the state by the state."""
-    rows, n, width = machine.rest.shape
+    n, width = machine.rest.shape[1:]
     out = np.zeros((n, n, width))
-    for i in range(1, rows):
-        for j in range(2 if angle else 0, n):
+    first = 2 if angle else 0
+    for i in range(max(first, 1), n):
+        for j in range(first, n):
             for t in range(width):
-                out[1 + i, j, t] = machine.rest[i, j, t]
+                out[i, j, t] = machine.rest[i, j, t]
     if not angle:
         out[0, 1, 0] = 1.0
-        for j in range(n):
-            _over_inertia(machine, machine.rest[0, j], -1.0, out[1, j])
     return out
 
 
 class _Scheme(NamedTuple):
     """An exponential Runge-Kutta scheme: how stages follow from each other.
 
-    The point that stage k leads to is ``bases[k] points[base[k]] + sum of parts[k, j] rest[j]``.
+    With f the rates at the points so far and p how far these are from the start, the next point is
+    from the start ``sum of parts[k, j] f[j] + sum of parts[k, count + j] p[j]``: that of the usual
+    form, in which the linear part is taken off the rates, put together.
+
+    Attributes
+    ----------
+    places : array of int, shape (count,)
+        Place in the step of each stage: 0 (start), 1 (middle), 2 (end).
+    parts : array, shape (count, 2 * count, n, n)
+    slopes : array, shape (count, 2 * count, n, n, width)
+        Their derivatives; 0 in the place of the value.
+    used : array of int, shape (count, 2 * count)
     """
 
     places: np.ndarray
-    base: np.ndarray
-    bases: np.ndarray
     parts: np.ndarray
+    slopes: np.ndarray
     used: np.ndarray
+
+
+@compiled_loop
+def _set(scheme: _Scheme, stage: int, of: int, matrix: np.ndarray, size: float) -> None:
+    n, width = matrix.shape[0], matrix.shape[2]
+    scheme.used[stage, of] = 1
+    for i in range(n):
+        for j in range(n):
+            scheme.parts[stage, of, i, j] += size * matrix[i, j, 0]
+            for t in range(1, width):
+                scheme.slopes[stage, of, i, j, t] += size * matrix[i, j, t]
 
 
 @compiled_loop
 def _scheme(linear: np.ndarray, step: float, order: int) -> _Scheme:
     n, width = linear.shape[0], linear.shape[2]
-    whole = np.empty_like(linear)
+    whole, product = np.empty_like(linear), np.empty_like(linear)
     added(linear, step, linear, 0.0, whole)
     half, full = phi_functions(whole)
     count = 2 if order == 2 else 4
-    places, base = np.zeros(count, np.int64), np.zeros(count, np.int64)
-    bases = np.zeros((count, n, n, width))
-    parts = np.zeros((count, count, n, n, width))
-    used = np.zeros((count, count), np.int64)
+    scheme = _Scheme(
+        np.zeros(count, np.int64),
+        np.zeros((count, 2 * count, n, n)),
+        np.zeros((count, 2 * count, n, n, width)),
+        np.zeros((count, 2 * count), np.int64),
+    )
     if order == 2:
-        places[1], base[1] = 2, 1
-        added(full[0], 1.0, full[0], 0.0, bases[0])
-        for i in range(n):
-            bases[1, i, i, 0] = 1.0
-        added(full[1], step, full[1], 0.0, parts[0, 0])
-        added(full[2], step, full[2], 0.0, parts[1, 1])
-        added(full[2], -step, full[2], 0.0, parts[1, 0])
-        used[0, 0] = used[1, 0] = used[1, 1] = 1
-    else:
-        places[1] = places[2] = 1
-        places[3] = 2
-        base[2] = 1
-        for k in range(3):
-            added(half[0], 1.0, half[0], 0.0, bases[k])
-        added(full[0], 1.0, full[0], 0.0, bases[3])
-        added(half[1], 0.5 * step, half[1], 0.0, parts[0, 0])
-        added(half[1], 0.5 * step, half[1], 0.0, parts[1, 1])
-        added(half[1], step, half[1], 0.0, parts[2, 2])
-        added(half[1], -0.5 * step, half[1], 0.0, parts[2, 0])
-        added(full[1], step, full[2], -3.0 * step, parts[3, 0])
-        added(parts[3, 0], 1.0, full[3], 4.0 * step, parts[3, 0])
-        for j in (1, 2):
-            added(full[2], 2.0 * step, full[3], -4.0 * step, parts[3, j])
-        added(full[3], 4.0 * step, full[2], -step, parts[3, 3])
-        used[0, 0] = used[1, 1] = used[2, 2] = used[2, 0] = 1
-        for j in range(4):
-            used[3, j] = 1
-    return _Scheme(places, base, bases, parts, used)
+        scheme.places[1] = 2
+        _set(scheme, 0, 0, full[1], step)
+        multiplied(full[2], full[0], product)
+        _set(scheme, 1, 0, full[1], step)
+        _set(scheme, 1, 0, product, -step)
+        _set(scheme, 1, 1, full[2], step)
+        return scheme
+    scheme.places[1] = scheme.places[2] = 1
+    scheme.places[3] = 2
+    for k in range(3):
+        _set(scheme, k, k, half[1], step if k == 2 else 0.5 * step)
+    for i in range(n):
+        half[0, i, i, 0] -= 1.0
+    _set(scheme, 1, 5, half[0], -1.0)
+    _set(scheme, 2, 5, half[0], 1.0)
+    _set(scheme, 2, 6, half[0], -2.0)
+    # The weights of the stages, and what they make of the linear part.
+    for j in range(4):
+        added(full[2], (-3.0, 2.0, 2.0, -1.0)[j], full[3], (4.0, -4.0, -4.0, 4.0)[j], product)
+        if j == 0:
+            added(product, 1.0, full[1], 1.0, product)
+        _set(scheme, 3, j, product, step)
+        if j:
+            multiplied(product, linear, whole)
+            _set(scheme, 3, 4 + j, whole, -step)
+    return scheme
 
 
 @compiled_loop
@@ -313,23 +385,23 @@ def _equilibrium(
     machine: Machine, state: np.ndarray, past: np.ndarray, room: _Room, reaction: np.ndarray
 ) -> None:
     """Internal states in equilibrium at the angle of a state, by Newton's method from 0."""
-    n, width = machine.rest.shape[0] - 1, state.shape[1]
-    columns = width - 1 + 2 + n + past.shape[0]
-    slopes, right = np.zeros((n, n)), np.zeros((n, width))
+    n, width = machine.rest.shape[0] - 2, state.shape[1]
+    slopes, right, raw = np.zeros((n, n)), np.zeros((n, width)), np.zeros((n * n, LANES))
     for k in range(past.shape[0] // 2):
         past[2 * k, 0] = state[0, 0]
     for _ in range(_NEWTON_STEPS):
         for i in range(n):
             for t in range(1, width):
                 state[2 + i, t] = 0.0
-        _react(machine, state, past, room, reaction)
+        _react(machine, state, past, 0.0, room, reaction)
+        _run(machine.turning, room.given, room.moved, raw)
         for i in range(n):
             for j in range(n):
-                slopes[i, j] = room.raw[n + 1 + (i + 1) * columns + width - 1 + 2 + j]
+                slopes[i, j] = raw[i * n + j, 0]
             # Keeps at 0 a state that any value would leave at rest.
             slopes[i, i] -= 1e-12
             for t in range(width):
-                right[i, t] = reaction[i + 1, t]
+                right[i, t] = reaction[2 + i, t]
         solved(slopes, right)
         for i in range(n):
             for t in range(width):
@@ -341,7 +413,7 @@ def integrated(
     machine: Machine, imposed: Imposed, substeps: int, order: int, out: np.ndarray
 ) -> None:
     """Response in steps, into `out`, shape (n, width)."""
-    (rows, n), width, n_samples = machine.rest.shape[:2], out.shape[1], out.shape[0]
+    n, width, n_samples = machine.rest.shape[0], out.shape[1], out.shape[0]
     n_past = 2 * machine.delays.shape[0]
     step = imposed.interval / substeps
     n_steps = (n_samples - 1) * substeps
@@ -354,15 +426,13 @@ def integrated(
     history = np.zeros((n_steps if n_past and not imposed.angle else 0, 6, width))
     pasts, before = np.zeros((3, n_past, width)), np.zeros((n_past, width))
     room = _Room(
-        np.zeros(machine.theta.size + n + n_past),
-        np.zeros((n + n_past, width)),
-        np.zeros(rows * (width + n + n_past)),
+        np.zeros(machine.theta.size + n + n_past + 1), np.zeros((n + n_past, width))
     )
     for j in range(machine.theta.size):
         room.given[j] = machine.theta[j]
-    reaction = np.zeros((rows, width))
-    points, rest = np.zeros((n_stages + 1, n, width)), np.zeros((n_stages, n, width))
-    rates, kick = np.zeros((n, width)), np.zeros(width)
+    reaction = np.zeros((n, width))
+    points, away = np.zeros((n_stages + 1, n, width)), np.zeros((n_stages + 1, n, width))
+    every = np.zeros((n_stages + 1, n, width))
     applied = np.zeros(imposed.signals.shape[1])
     if imposed.angle:
         _signal(imposed, 0, 0, applied)
@@ -373,20 +443,16 @@ def integrated(
         if index == n_steps and not imposed.angle:
             break
         if not within and not imposed.angle and imposed.impulses[sample] != 0.0:
-            for t in range(width):
-                kick[t] = 0.0
-            kick[0] = 1.0
-            _over_inertia(machine, kick, imposed.impulses[sample], rates[0])
-            for t in range(width):
-                points[0, 1, t] += rates[0, t]
+            _over_inertia(machine, imposed.impulses[sample], points[0, 1])
         # The two-stage scheme takes the end of one step for the start of the next, where no impulse
         # made the motion jump.
-        for place in range(3):
+        carried = order == 2 and not imposed.angle
+        for place in range(2 if carried else 0, 3):
             if n_past and (place != 1 or order == 4):
                 _recall(
                     machine, imposed, history, index, step, place, points[0], pasts[place]
                 )
-        if order == 2 and not imposed.angle:
+        if carried:
             for j in range(n_past):
                 for t in range(width):
                     pasts[0, j, t], before[j, t] = before[j, t], pasts[2, j, t]
@@ -402,60 +468,53 @@ def integrated(
                     for t in range(width):
                         point[i, t] = 0.0
                     point[i, 0] = applied[i]
-            _react(machine, point, pasts[place], room, reaction)
+            rates = every[k]
+            _react(machine, point, pasts[place], applied[0], room, rates)
             if imposed.angle and k == 0 and not within:
                 for t in range(width):
-                    out[sample, t] = reaction[0, t]
+                    out[sample, t] = rates[0, t]
                 out[sample, 0] += machine.theta[2] * applied[2]
                 if machine.inertia:
                     out[sample, machine.inertia] += applied[2]
                 if idle or index == n_steps:
                     break
-            for i in range(1, rows):
-                for t in range(width):
-                    rates[1 + i, t] = reaction[i, t]
-            if not imposed.angle:
-                reaction[0, 0] -= applied[0]
-                _over_inertia(machine, reaction[0], -1.0, rates[1])
-                for t in range(width):
-                    rates[0, t] = point[1, t]
-            if n_past and not imposed.angle and (k == 0 or k == n_stages):
-                at = 2 if k == 0 else 5
-                for t in range(width):
-                    history[index, at, t] = rates[1, t]
+            for t in range(width):
+                rates[0, t] = point[1, t]
             if k == n_stages:
                 break
-            for i in range(n):
+            for i in range(first, n):
                 for t in range(width):
-                    rest[k, i, t] = 0.0
-            add_product(linear, point, rest[k], first)
-            for i in range(n):
-                for t in range(width):
-                    rest[k, i, t] = rates[i, t] - rest[k, i, t]
-            target = points[k + 1]
-            for i in range(n):
-                for t in range(width):
-                    target[i, t] = 0.0
-            add_product(scheme.bases[k], points[scheme.base[k]], target, first)
-            for j in range(k + 1):
+                    away[k + 1, i, t] = 0.0
+            for j in range(2 * n_stages):
                 if scheme.used[k, j]:
-                    add_product(scheme.parts[k, j], rest[j], target, first)
+                    source = every[j] if j < n_stages else away[j - n_stages]
+                    _add_product(
+                        scheme.parts[k, j], scheme.slopes[k, j], source, away[k + 1], first
+                    )
+            for i in range(first, n):
+                for t in range(width):
+                    points[k + 1, i, t] = points[0, i, t] + away[k + 1, i, t]
         if idle or index == n_steps:
             continue
         arrived = points[n_stages]
         if history.shape[0]:
             if order == 2:
+                # As the scheme knows them: those of its guess, and linearly on.
+                last = every[n_stages]
                 for t in range(width):
-                    history[index, 5, t] = rest[1, 1, t]
+                    last[1, t] = every[1, 1, t]
                 for j in range(n):
-                    a, b = linear[1, j, 0], arrived[j, 0]
-                    history[index, 5, 0] += a * b
+                    moved = arrived[j, 0] - points[1, j, 0]
+                    last[1, 0] += linear[1, j, 0] * moved
                     for t in range(1, width):
-                        history[index, 5, t] += a * arrived[j, t] + linear[1, j, t] * b
-            for i in range(2):
-                for t in range(width):
+                        last[1, t] += linear[1, j, 0] * (arrived[j, t] - points[1, j, t])
+                        last[1, t] += linear[1, j, t] * moved
+            for t in range(width):
+                for i in range(2):
                     history[index, i, t] = points[0, i, t]
                     history[index, 3 + i, t] = arrived[i, t]
+                history[index, 2, t] = every[0, 1, t]
+                history[index, 5, t] = every[n_stages, 1, t]
         for i in range(n):
             for t in range(width):
                 points[0, i, t] = arrived[i, t]
@@ -470,7 +529,6 @@ def exact(machine: Machine, imposed: Imposed, out: np.ndarray) -> None:
     n, m, width = machine.rest.shape[1], imposed.states.shape[1], out.shape[1]
     linear = _linear_part(machine, imposed.angle)
     joined = np.zeros((n + m, n + m, width))
-    unit = np.zeros(width)
     for i in range(n):
         for j in range(n):
             for t in range(width):
@@ -479,19 +537,24 @@ def exact(machine: Machine, imposed: Imposed, out: np.ndarray) -> None:
         for i in range(m):
             joined[n + i, n + j, 0] = imposed.interval * imposed.generator[i, j]
         if not imposed.angle:
-            unit[0] = imposed.interval * imposed.signals[0, 0, j]
-            _over_inertia(machine, unit, 1.0, joined[1, n + j])
+            _over_inertia(machine, imposed.interval * imposed.signals[0, 0, j], joined[1, n + j])
         else:
             for i in range(2, n):
                 for s in range(2):
                     for t in range(width):
                         joined[i, n + j, t] += (
                             imposed.interval
-                            * machine.rest[i - 1, s, t]
+                            * machine.rest[i, s, t]
                             * imposed.signals[0, s, j]
                         )
-    onward = exponential(joined)
-    state, moved, kick = np.zeros((n + m, width)), np.zeros((n + m, width)), np.zeros(width)
+    propagator = exponential(joined)
+    onward, slopes = np.zeros((n + m, n + m)), np.zeros((n + m, n + m, width))
+    for i in range(n + m):
+        for j in range(n + m):
+            onward[i, j] = propagator[i, j, 0]
+            for t in range(1, width):
+                slopes[i, j, t] = propagator[i, j, t]
+    state, moved = np.zeros((n + m, width)), np.zeros((n + m, width))
     signals = np.zeros(imposed.signals.shape[1])
     if imposed.angle and n > 2:
         # In equilibrium at the first angle.
@@ -501,12 +564,12 @@ def exact(machine: Machine, imposed: Imposed, out: np.ndarray) -> None:
         for turn in range(2):
             for i in range(n - 2):
                 for j in range(n - 2):
-                    system[i, j] = machine.rest[1 + i, 2 + j, 0]
+                    system[i, j] = machine.rest[2 + i, 2 + j, 0]
                 for t in range(width):
-                    right[i, t] = -machine.rest[1 + i, 0, t] * angle
+                    right[i, t] = -machine.rest[2 + i, 0, t] * angle
                     if t and turn:
                         for j in range(n - 2):
-                            right[i, t] -= machine.rest[1 + i, 2 + j, t] * state[2 + j, 0]
+                            right[i, t] -= machine.rest[2 + i, 2 + j, t] * state[2 + j, 0]
             solved(system, right)
             for i in range(n - 2):
                 for t in range(width):
@@ -527,16 +590,13 @@ def exact(machine: Machine, imposed: Imposed, out: np.ndarray) -> None:
                 out[k, machine.inertia] += signals[2]
         else:
             if imposed.impulses[k] != 0.0:
-                unit[0] = imposed.impulses[k]
-                _over_inertia(machine, unit, 1.0, kick)
-                for t in range(width):
-                    state[1, t] += kick[t]
+                _over_inertia(machine, imposed.impulses[k], state[1])
             for t in range(width):
                 out[k, t] = state[0, t]
-        for i in range(n):
+        for i in range(n + m):
             for t in range(width):
                 moved[i, t] = 0.0
-        add_product(onward, state, moved, 2 if imposed.angle else 0)
+        _add_product(onward, slopes, state, moved, 2 if imposed.angle else 0)
         for i in range(n):
             for t in range(width):
                 state[i, t] = moved[i, t]
