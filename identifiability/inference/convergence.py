@@ -10,8 +10,8 @@ It is made for many short chains, of which none needs to have explored the poste
 from __future__ import annotations
 
 import warnings
-from types import ModuleType
 from dataclasses import dataclass
+from types import ModuleType
 
 import numpy as np
 from scipy.special import ndtri

@@ -214,7 +214,7 @@ def _stack(
 
 
 def _segments(observations: Sequence[Observation]) -> tuple[list[int], int]:
-    """Number of each observation's first segment, counted through all trials; how many there are."""
+    """Number of each observation's first segment, all counted in one row; and of all of them."""
     firsts: list[int] = []
     used = 0
     for o in observations:

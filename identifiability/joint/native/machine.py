@@ -91,16 +91,16 @@ def _target() -> llvm.Target:
 
 def _machine() -> llvm.TargetMachine:
     features = llvm.get_host_cpu_features().flatten()
-    return _target().create_target_machine(
-        cpu=llvm.get_host_cpu_name(), features=features, opt=2
-    )
+    return _target().create_target_machine(cpu=llvm.get_host_cpu_name(), features=features, opt=2)
 
 
 def spread(build: ir.IRBuilder, value: ir.Value) -> ir.Value:
     """The same number in all lanes."""
     nothing, first = ir.Constant(_TOGETHER, ir.Undefined), ir.Constant(ir.IntType(32), 0)
     one = build.insert_element(nothing, value, first)
-    return build.shuffle_vector(one, nothing, ir.Constant(ir.VectorType(ir.IntType(32), LANES), [0] * LANES))
+    return build.shuffle_vector(
+        one, nothing, ir.Constant(ir.VectorType(ir.IntType(32), LANES), [0] * LANES)
+    )
 
 
 def together(build: ir.IRBuilder, pointer: ir.Value) -> ir.Value:

@@ -1,9 +1,7 @@
 """The steps of `integrator` and the exact response of `response`, with first derivatives.
 
 Arrays of what depends on parameters have the value and then each derivative along the last axis,
-whose length is a multiple of four. A model comes as the address of its code, which makes of ``(parameters, angle, velocity, states, past
-motions)`` for torque and states' rates a row each: the value and its derivatives by the parameters,
-then those by all that moves.
+whose length is a multiple of four. A model comes as the addresses of its code, see `Kernel`.
 
 Both causalities take the same steps of the state [angle, velocity, internal states]: where the
 angle is imposed its first two entries are given.
@@ -12,7 +10,8 @@ angle is imposed its first two entries are given.
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from collections.abc import Callable
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from llvmlite import ir
@@ -100,7 +99,7 @@ class _Room(NamedTuple):
     moved: np.ndarray
 
 
-@intrinsic
+@cast(Callable[..., Any], intrinsic)
 def _run(typing: Any, address: Any, given: Any, moved: Any, out: Any) -> Any:
     """Call the code at an address."""
     signature = types.void(types.intp, given, moved, out)
@@ -114,10 +113,8 @@ def _run(typing: Any, address: Any, given: Any, moved: Any, out: Any) -> Any:
     return signature, generate
 
 
-@intrinsic
-def _add_product(
-    typing: Any, matrix: Any, slopes: Any, vector: Any, out: Any, first: Any
-) -> Any:
+@cast(Callable[..., Any], intrinsic)
+def _add_product(typing: Any, matrix: Any, slopes: Any, vector: Any, out: Any, first: Any) -> Any:
     """Add the product of a matrix and a vector to a vector, from an entry on.
 
     ``out[i, t] += matrix[i, k] vector[k, t] + slopes[i, k, t] vector[k, 0]``, contiguous arrays,
@@ -144,20 +141,22 @@ def _add_product(
 
         total = cgutils.alloca_once(builder, ir.VectorType(ir.DoubleType(), LANES))
         ends = (args[4], n, one)
-        with cgutils.for_range_slice(builder, *ends) as (i, _):
-            with cgutils.for_range_slice(builder, ir.Constant(size, 0), width, lanes) as (t, _):
-                target = builder.add(builder.mul(i, width), t)
-                builder.store(read(y, target), total)
-                with cgutils.for_range_slice(builder, *ends) as (k, _):
-                    entry, row = builder.add(builder.mul(i, n), k), builder.mul(k, width)
-                    value = builder.load(at(a, entry))
-                    first = builder.load(at(x, row))
-                    known = builder.load(total)
-                    known = add(known, spread(builder, value), read(x, builder.add(row, t)))
-                    slope = read(da, builder.add(builder.mul(entry, width), t))
-                    builder.store(add(known, slope, spread(builder, first)), total)
+        blocks = (ir.Constant(size, 0), width, lanes)
+        with (
+            cgutils.for_range_slice(builder, *ends) as (i, _),
+            cgutils.for_range_slice(builder, *blocks) as (t, _),
+        ):
+            target = builder.add(builder.mul(i, width), t)
+            builder.store(read(y, target), total)
+            with cgutils.for_range_slice(builder, *ends) as (k, _):
+                entry, row = builder.add(builder.mul(i, n), k), builder.mul(k, width)
+                value, first = builder.load(at(a, entry)), builder.load(at(x, row))
                 known = builder.load(total)
-                builder.store(known, together(builder, at(y, target)), align=8)
+                known = add(known, spread(builder, value), read(x, builder.add(row, t)))
+                slope = read(da, builder.add(builder.mul(entry, width), t))
+                builder.store(add(known, slope, spread(builder, first)), total)
+            known = builder.load(total)
+            builder.store(known, together(builder, at(y, target)), align=8)
         return context.get_dummy_value()
 
     return signature, generate
@@ -298,12 +297,17 @@ def _slot(place: float, ends_step: bool) -> int:
     """Number of the step that a place is in; at its start, of the step that ends there if asked."""
     if not abs(place) < 1e15:
         return -1  # of what is no place in any record
-    return int(math.ceil(place - 1e-6)) - 1 if ends_step else int(math.floor(place + 1e-6))
+    return math.ceil(place - 1e-6) - 1 if ends_step else math.floor(place + 1e-6)
 
 
 @compiled_loop
 def _hermite(
-    s: float, step: float, y0: np.ndarray, d0: np.ndarray, y1: np.ndarray, d1: np.ndarray,
+    s: float,
+    step: float,
+    y0: np.ndarray,
+    d0: np.ndarray,
+    y1: np.ndarray,
+    d1: np.ndarray,
     out: np.ndarray,
 ) -> float:
     """Cubic through two values and slopes at the fraction `s` of a step; its slope in time."""
@@ -425,9 +429,7 @@ def integrated(
     first = 2 if imposed.angle else 0
     history = np.zeros((n_steps if n_past and not imposed.angle else 0, 6, width))
     pasts, before = np.zeros((3, n_past, width)), np.zeros((n_past, width))
-    room = _Room(
-        np.zeros(machine.theta.size + n + n_past + 1), np.zeros((n + n_past, width))
-    )
+    room = _Room(np.zeros(machine.theta.size + n + n_past + 1), np.zeros((n + n_past, width)))
     for j in range(machine.theta.size):
         room.given[j] = machine.theta[j]
     reaction = np.zeros((n, width))
@@ -449,9 +451,7 @@ def integrated(
         carried = order == 2 and not imposed.angle
         for place in range(2 if carried else 0, 3):
             if n_past and (place != 1 or order == 4):
-                _recall(
-                    machine, imposed, history, index, step, place, points[0], pasts[place]
-                )
+                _recall(machine, imposed, history, index, step, place, points[0], pasts[place])
         if carried:
             for j in range(n_past):
                 for t in range(width):
@@ -543,9 +543,7 @@ def exact(machine: Machine, imposed: Imposed, out: np.ndarray) -> None:
                 for s in range(2):
                     for t in range(width):
                         joined[i, n + j, t] += (
-                            imposed.interval
-                            * machine.rest[i, s, t]
-                            * imposed.signals[0, s, j]
+                            imposed.interval * machine.rest[i, s, t] * imposed.signals[0, s, j]
                         )
     propagator = exponential(joined)
     onward, slopes = np.zeros((n + m, n + m)), np.zeros((n + m, n + m, width))

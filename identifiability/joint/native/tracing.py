@@ -60,8 +60,9 @@ class _Reading:
             results = self.apply(equation.primitive.name, args, equation.params)
             for var, result in zip(equation.outvars, results, strict=True):
                 array = np.asarray(result, object)
-                if array.shape != var.aval.shape:
-                    raise Untraceable(f"{equation.primitive.name} to {var.aval.shape}")
+                shape = getattr(var.aval, "shape", None)
+                if array.shape != shape:
+                    raise Untraceable(f"{equation.primitive.name} to {shape}")
                 known[var] = array
         return [value(var) for var in jaxpr.outvars]
 
