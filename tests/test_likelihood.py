@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import jax
 import numpy as np
 import pytest
 import scipy.linalg
@@ -78,6 +79,25 @@ def test_compiled_whitening_is_that_of_the_covariance():
             expected = white - constant * (constant @ white)
             np.testing.assert_allclose(found[row, i, : samples.size], expected, atol=1e-8)
             assert not found[row, i, samples.size :].any()
+
+
+@pytest.mark.parametrize("ceiling", [1.0, 0.1], ids=["left", "nothing left"])
+def test_both_whitenings_and_their_derivatives_agree(ceiling):
+    random = np.random.default_rng(3)
+    noise = NoiseEstimate(OWN, CARRIED, np.array([1.0, 2.0]), 1.0, 1, True)
+    stretches = [[np.arange(5, 45), np.arange(50, 80)], [np.arange(60)]]
+    excess, joint = np.diag([1.0, 2.0, 3.0]) + 0.2, np.array([1.0, 0.5, 0.2])
+    colour = coloured.Colour([noise], [0, 0], [0, 1], stretches, excess, ceiling * joint)
+    residual, slope = random.standard_normal((2, 90)), random.standard_normal((2, 90, 3))
+
+    def moved(by):
+        return coloured.whitened(residual + slope @ by, joint + by, colour.arrays())
+
+    there = np.append(np.asarray(colour.arrays().weight).ravel() > 0, True)
+    expected = [np.asarray(f(np.zeros(3)))[there] for f in (moved, jax.jacfwd(moved))]
+    both = np.concatenate([residual[..., None], slope], axis=2)
+    found = colour.whitened(list(both), joint, np.eye(3))
+    np.testing.assert_allclose(found, np.column_stack(expected), rtol=1e-9, atol=1e-9)
 
 
 def restricted_cost(values, stretches, carried):

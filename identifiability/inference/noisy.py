@@ -175,14 +175,15 @@ def _noises(
 
 def _with_colour(problem: Problem, colour: Colour, x: np.ndarray) -> tuple[Problem, bool]:
     """The problem with this noise; without its correction where no information would be left."""
-    weighed = replace(problem, colour=colour)
+    # Its second derivatives take long to compile, for every length of recording anew.
+    weighed = replace(problem, colour=colour, exact_hessian=False)
     if colour.excess is None:
         return weighed, False
     information = curvature(weighed, x).hessian
     size = np.sqrt(np.abs(np.diag(information))) + 1e-300
     if np.linalg.eigvalsh(information / np.outer(size, size))[0] > 0:
         return weighed, False
-    return replace(problem, colour=replace(colour, excess=None)), True
+    return replace(weighed, colour=replace(colour, excess=None)), True
 
 
 def _descend(problem: Problem, x: np.ndarray) -> Fit:

@@ -513,10 +513,8 @@ class Problem:
         # Optimisers ask for both at the same point, one after the other: compute them together.
         x, last = np.asarray(x, float), self._last
         if not hasattr(last, "x") or not np.array_equal(last.x, x):
-            # A colour that depends on the parameters is whitened by what JAX traced.
-            native = self._native(self.free) if self.colour is None else None
-            if native is not None:
-                white = self._whitened(native.at(self.complete(x)))
+            if (native := self._native(self.free)) is not None:
+                white = self._whitened(x, native.at(self.complete(x)))
                 last.both = white[:, 0].copy(), white[:, 1:].copy()
             else:
                 both = _linearised(self.program, x, self.template, self.data)
@@ -532,9 +530,15 @@ class Problem:
             self._responses[free] = responses_of(self.model, free, drives, self.integration)
         return self._responses[free]
 
-    def _whitened(self, responses: Sequence[np.ndarray]) -> np.ndarray:
+    def _whitened(self, x: np.ndarray, responses: Sequence[np.ndarray]) -> np.ndarray:
         """Whitened residuals with their derivatives, of all observations in one row."""
         every = self.observations
+        if self.colour is not None:
+            left = [found.copy() for found in responses]
+            for residual, o in zip(left, every, strict=True):
+                residual[:, 0] -= o.measured
+            moved = np.equal.outer(range(3), self.free).astype(float)
+            return self.colour.whitened(left, self.complete(x)[:3], moved)
         longest = max(self.room[1], *(o.measured.size for o in every))
         shape = max(len(every), self.room[0]), longest, responses[0].shape[1]
         white = np.zeros(shape)

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import jax
@@ -22,7 +23,9 @@ from jax import Array
 
 from identifiability.inference.likelihood.carried import motion_taps
 from identifiability.inference.likelihood.estimate import NoiseEstimate
+from identifiability.inference.likelihood.processes import Whitening
 
+_LEAST = 1e-6  # of the ceiling, that is left of it
 _CEILING = 4.0  # of the correction at the optimum, so that the rest of the cost stays positive
 # Lags are padded to one of two numbers, so that few programs are compiled: those of an ARMA and the
 # admittance, and those of an imposed angle's derivatives.
@@ -74,14 +77,56 @@ class Colour:
     excess: np.ndarray | None
     joint: np.ndarray
 
+    @cached_property
+    def _longest(self) -> int:
+        return max(s.size for of_one in self.stretches for s in of_one)
+
+    @cached_property
+    def _whitenings(self) -> list[Whitening]:
+        return [estimate.noise.whitening(self._longest) for estimate in self.noises]
+
+    def whitened(
+        self, residuals: Sequence[np.ndarray], joint: np.ndarray, moved: np.ndarray
+    ) -> np.ndarray:
+        """Whitened residuals with their derivatives, of all observations in one row.
+
+        Parameters
+        ----------
+        residuals : sequence of array, shape (n, width)
+            By observation: the residual, then its derivatives.
+        joint : array, shape (3,)
+            K, B and I.
+        moved : array, shape (3, width - 1)
+            Their derivatives.
+
+        Returns
+        -------
+        array, shape (n_residuals, width)
+            See the function `whitened`, without what is only padding.
+        """
+        parts = []
+        for row, (residual, of_one) in enumerate(zip(residuals, self.stretches, strict=True)):
+            whitening = self._whitenings[self.which[row]]
+            size = self.noises[self.which[row]].levels[self.trial[row]]
+            parts += [whitening.without_level(residual[s] / size)[0] for s in of_one]
+        if self.excess is not None:
+            ceiling = _CEILING * float(self.joint @ self.excess @ self.joint)
+            left = ceiling - float(joint @ self.excess @ joint)
+            root = np.sqrt(max(left, _LEAST * ceiling))
+            slopes = (
+                -(joint @ self.excess @ moved) / root if left > _LEAST * ceiling else 0 * moved[0]
+            )
+            parts.append(np.append(root, slopes)[None])
+        return np.concatenate(parts)
+
     def arrays(self) -> ColourArrays:
         """Arrays that `whitened` takes."""
         rows = len(self.stretches)
-        longest = max(s.size for of_one in self.stretches for s in of_one)
+        longest = self._longest
         most = max(len(of_one) for of_one in self.stretches)
         order = np.zeros((rows, most, longest), int)
         weight, level = np.zeros((2, rows, most, longest))
-        whitenings = [estimate.noise.whitening(longest) for estimate in self.noises]
+        whitenings = self._whitenings
         constants = [whitening(np.ones((longest, 1)))[:, 0] for whitening in whitenings]
         lags = max(w.factor.shape[1] for w in whitenings)
         ar = np.zeros((len(whitenings), longest, _FEW_LAGS))
@@ -182,4 +227,4 @@ def whitened(residual: Array, theta: Array, colour: ColourArrays) -> Array:
         return white.ravel()
     excess, ceiling = colour.excess
     left = ceiling - theta[:3] @ excess @ theta[:3]
-    return jnp.append(white.ravel(), jnp.sqrt(jnp.maximum(left, 1e-6 * ceiling)))
+    return jnp.append(white.ravel(), jnp.sqrt(jnp.maximum(left, _LEAST * ceiling)))
