@@ -28,8 +28,9 @@ def add_parser(commands: Any) -> None:
         "any noise, weigh what may be missing, and count whether probabilities are what they say. "
         "coverage: fit K, B and I to simulated recordings with noise of every kind, "
         "and count how often their intervals hold the truth. solver: integrate every non-linear "
-        "effect at many sampling rates, and compare with far finer steps. speed: investigate six "
-        "and sixteen trials and long records, and say how long it takes and where the time goes. "
+        "effect at many sampling rates, and compare with far finer steps. responses: time them with "
+        "their derivatives, by machine code and by JAX. speed: investigate six and sixteen trials "
+        "and long records, and say how long it takes and where the time goes. "
         "An interrupted run goes on where it was when the same command is typed again.",
         **with_examples(
             "benchmark solver --out results",
@@ -38,7 +39,7 @@ def add_parser(commands: Any) -> None:
     )
     parser.add_argument(
         "what",
-        choices=("calibration", "coverage", "solver", "speed"),
+        choices=("calibration", "coverage", "responses", "solver", "speed"),
         help="what is judged, or timed",
     )
     parser.add_argument(
@@ -59,6 +60,7 @@ def run(options: argparse.Namespace) -> int:
         "solver": _run_solver,
         "coverage": _run_coverage,
         "calibration": _run_calibration,
+        "responses": _run_responses,
         "speed": _run_speed,
     }
     return runs[options.what](options)
@@ -135,6 +137,27 @@ def _run_solver(options: argparse.Namespace) -> int:
     said = [f"{sum(row.passes for row in rows)} of {len(rows)} rows below {found['allowed']:g}"]
     _publish(out, "solver", found, solver_page(found), said)
     return 0 if all(row.passes for row in rows) else PARTIAL
+
+
+def _run_responses(options: argparse.Namespace) -> int:
+    from identifiability.benchmark.responses import measure, questions, record
+    from identifiability.files import output_folder
+    from identifiability.report.responses import responses_page
+
+    out = output_folder(options.out)
+    asked = list(questions())
+    rows = []
+    for i, (effects, imposed) in enumerate(asked):
+        name = " ".join((*effects, imposed))
+        print(f"[{i + 1}/{len(asked)}] {name}", file=sys.stderr, flush=True)
+        rows.append(measure(effects, imposed))
+    found = record(rows)
+    said = [
+        f"JAX takes {found['median_each']:.1f} times as long for each evaluation, and "
+        f"{found['median_once']:.0f} times as long once (medians of {len(rows)} rows)"
+    ]
+    _publish(out, "responses", found, responses_page(found), said)
+    return 0
 
 
 def _run_speed(options: argparse.Namespace) -> int:
