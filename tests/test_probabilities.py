@@ -723,6 +723,24 @@ def test_a_segment_weighs_what_its_inertia_says():
         assert 1 / 1.4 < median / moment < 1.4
 
 
+def test_a_second_mass_is_what_wobbles_beside_a_joint():
+    """One with all but all inertia, held by a damper, is what a filter of the torque looks like."""
+
+    def log_prior(own, second, damping):
+        typical = EFFECTS["second_mass"]().typical({"I": own})
+        given = zip(("inertia", "damping_ratio"), (second, damping), strict=True)
+        return sum(
+            Prior("typical", spread, median).log_density(value)
+            for (name, value) in given
+            for median, spread in [typical[f"second_mass.{name}"]]
+        )
+
+    tissue = log_prior(0.1, 0.03, 0.2)
+    # A limb in a light cuff may still be one; a filter may not.
+    assert tissue - log_prior(0.01, 0.05, 0.5) < 2.0
+    assert tissue - log_prior(1.3e-4, 0.0105, 2.94) > 6.0
+
+
 def test_priors_of_what_is_typical_integrate_to_one_over_its_logarithm():
     prior = Prior("typical", 1.3, 2.5)
     total = integrate.quad(lambda u: np.exp(prior.log_density(np.exp(u))), -15, 15, points=[1.0])

@@ -28,9 +28,9 @@ def add_parser(commands: Any) -> None:
         "any noise, weigh what may be missing, and count whether probabilities are what they say. "
         "coverage: fit K, B and I to simulated recordings with noise of every kind, "
         "and count how often their intervals hold the truth. solver: integrate every non-linear "
-        "effect at many sampling rates, and compare with far finer steps. responses: time them with "
-        "their derivatives, by machine code and by JAX. speed: investigate six and sixteen trials "
-        "and long records, and say how long it takes and where the time goes. "
+        "effect at many sampling rates, and compare with far finer steps. responses: time them, "
+        "with their derivatives, by machine code and by JAX. speed: investigate six and sixteen "
+        "trials and long records, and say how long it takes and where the time goes. "
         "An interrupted run goes on where it was when the same command is typed again.",
         **with_examples(
             "benchmark solver --out results",
