@@ -90,3 +90,26 @@ def test_what_other_code_found_is_not_taken(tmp_path):
     record["code"] = real.code_fingerprint("identifiability.investigation.record")
     (tmp_path / "investigation.json").write_text(json.dumps(record))
     assert real.finished(tmp_path) == record
+
+
+@pytest.mark.parametrize("broken", ["{", "[]", '{"recordings": [{}]}'])
+def test_a_broken_record_of_before_is_one_sentence(broken, capsys, tmp_path):
+    (tmp_path / "files").mkdir()
+    (tmp_path / "recordings.json").write_text(broken)
+    arguments = ["recordings", "--folder", str(tmp_path / "files"), "--out", str(tmp_path)]
+    assert main(arguments) == 2
+    said = capsys.readouterr().err.strip()
+    assert "cannot read what was found before" in said
+    assert len(said.splitlines()) == 1
+    assert (tmp_path / "recordings.json").read_text() == broken
+
+
+def test_recordings_are_in_one_order_whatever_was_asked_last(tmp_path):
+    names = list(real.REAL)
+    before = [{"name": name, "failure": "none"} for name in reversed(names)]
+    (tmp_path / "files").mkdir()
+    (tmp_path / "recordings.json").write_text(json.dumps({"recordings": before}))
+    arguments = ["recordings", "--folder", str(tmp_path / "files"), "--out", str(tmp_path)]
+    assert main([*arguments, "--only", names[0]]) == 0
+    after = json.loads((tmp_path / "recordings.json").read_text())["recordings"]
+    assert [one["name"] for one in after] == names[1:]

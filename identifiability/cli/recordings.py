@@ -56,9 +56,9 @@ def run(options: argparse.Namespace) -> int:
     if options.out is None:
         print(recordings_list(states))
         return 0
-    out = output_folder(options.out)
+    found = _of_others(options.out / "recordings.json", {one.name for one in chosen})
+    out, failed = output_folder(options.out), False
     pictures = output_folder(out / "recordings")
-    found, failed = _of_others(out / "recordings.json", {one.name for one in chosen}), False
     for one in chosen:
         if states[one.name] != "found":
             print(f"{one.name}: {states[one.name]}; {one.source}", file=sys.stderr)
@@ -74,6 +74,8 @@ def run(options: argparse.Namespace) -> int:
                 continue
         found.append(summary(one, record))
         shutil.copy(folder / "overlay.png", pictures / f"{one.name}.png")
+    order = list(REAL)
+    found.sort(key=lambda record: order.index(record["name"]))
     write_json(out / "recordings.json", {"recordings": found})
     write_text(out / "recordings.md", recordings_page(found))
     print(f"written: {out}/recordings.md, recordings.json")
@@ -82,10 +84,17 @@ def run(options: argparse.Namespace) -> int:
 
 def _of_others(path: Path, chosen: set[str]) -> list[dict[str, Any]]:
     """What was found before in recordings that are not chosen; each says by which code."""
+    from identifiability.benchmark.real import REAL
+
     if not path.is_file():
         return []
-    before = json.loads(path.read_text(encoding="utf-8"))["recordings"]
-    return [record for record in before if record["name"] not in chosen]
+    try:
+        before = json.loads(path.read_text(encoding="utf-8"))["recordings"]
+        return [one for one in before if one["name"] in REAL and one["name"] not in chosen]
+    except (OSError, ValueError, LookupError, TypeError) as error:
+        raise InputError(
+            f"cannot read what was found before in '{path}' ({error}); remove it, and ask for all"
+        ) from None
 
 
 def _investigate(one: RealRecording, folder: Path, out: Path) -> str:
