@@ -14,7 +14,7 @@ ROOT = Path(__file__).resolve().parents[1]
 
 @pytest.mark.usefixtures("few_effects")
 def test_the_demo_finds_the_joint_that_was_made(tmp_path, capfd, monkeypatch):
-    monkeypatch.setattr(perturbations, "WINDOWS", (0.2,))
+    monkeypatch.setattr(perturbations, "WINDOWS", (0.1, 0.2))
     out = tmp_path / "demo"
     assert main(["demo", "--out", str(out)]) == 0
     said = capfd.readouterr().out
