@@ -137,6 +137,7 @@ def test_an_output_folder_that_is_a_file_is_refused(command, tmp_path, capsys):
         (["--seed", -2], "seed -2"),
         (["--cases", 0], "--cases 0"),
         (["--workers", 0], "--workers 0"),
+        (["--seed", 3, 4, 3], "every seed once"),
     ],
 )
 def test_benchmark_refuses_bad_options(options, words, tmp_path, capsys):

@@ -87,7 +87,9 @@ def measure(effects: Sequence[str], imposed: Imposed) -> Row:
         Their keys.
     imposed : {"torque", "angle"}
     """
-    model = sum((EFFECTS[key]() for key in effects), start=KBI())
+    model = KBI()
+    for key in effects:
+        model = model + EFFECTS[key]()
     theta, drive = 1.01 * model.nominal, _drive(imposed)
     scheme = Scheme.for_model(model, theta, drive.interval, imposed)
     free = tuple(range(theta.size))
@@ -108,7 +110,7 @@ def measure(effects: Sequence[str], imposed: Imposed) -> Row:
     def ask() -> np.ndarray:
         return np.asarray(by_jax(model, theta, arrays))
 
-    kept = jax.config.jax_enable_compilation_cache
+    kept = getattr(jax.config, "jax_enable_compilation_cache", True)
     jax.config.update("jax_enable_compilation_cache", False)
     try:
         began = time.perf_counter()

@@ -34,7 +34,7 @@ def add_parser(commands: Any) -> None:
         "An interrupted run goes on where it was when the same command is typed again.",
         **with_examples(
             "benchmark solver --out results",
-            "benchmark calibration --cases 28 --seed 193 --out results",
+            "benchmark calibration --cases 14 --seed 227 229 --out results",
         ),
     )
     parser.add_argument(
@@ -48,7 +48,14 @@ def add_parser(commands: Any) -> None:
     parser.add_argument(
         "--recordings", type=int, default=500, metavar="N", help="coverage: of each kind (500)"
     )
-    parser.add_argument("--seed", type=int, default=1, help="of the cases (1)")
+    parser.add_argument(
+        "--seed",
+        type=int,
+        nargs="+",
+        default=[1],
+        metavar="N",
+        help="of the cases (1); calibration: several, of each so many cases",
+    )
     add_out_option(parser)
     add_workers_option(parser)
     parser.set_defaults(run=run)
@@ -80,16 +87,26 @@ def _run_calibration(options: argparse.Namespace) -> int:
     check_workers(options)
     if options.cases < 1:
         raise InputError(f"found --cases {options.cases}, expected 1 or more")
-    check_seed(options.seed)
-    seed = options.seed
-    from identifiability.benchmark.calibration import measure, record
+    for seed in options.seed:
+        check_seed(seed)
+    if len(set(options.seed)) < len(options.seed):
+        raise InputError(f"found --seed {options.seed}, expected every seed once")
+    from identifiability.benchmark.calibration import BlindScore, measure
+    from identifiability.benchmark.seeds import together
     from identifiability.files import output_folder
     from identifiability.report.calibration import calibration_page
+    from identifiability.sweep.outcome import Outcome
 
     out = output_folder(options.out)
     cells = out / "calibration.cells"
-    scores, outcomes = measure(options.cases, seed=seed, folder=cells, workers=options.workers)
-    found = record(scores, n=options.cases, seed=seed)
+    by_seed: dict[int, list[BlindScore]] = {}
+    outcomes: list[Outcome] = []
+    for seed in options.seed:
+        by_seed[seed], done = measure(
+            options.cases, seed=seed, folder=cells, workers=options.workers
+        )
+        outcomes += done
+    found = together(by_seed, n=options.cases)
     said = [
         f"{t['tier']}, {t['imposed']} imposed: {t['right']} of {t['n'] - t['weak']} right, "
         f"{t['wrong']} wrong"
@@ -99,12 +116,19 @@ def _run_calibration(options: argparse.Namespace) -> int:
     return PARTIAL if complain(outcomes, cells) else 0
 
 
+def _one_seed(options: argparse.Namespace) -> int:
+    if len(options.seed) > 1:
+        raise InputError(f"found {len(options.seed)} seeds, expected one for {options.what}")
+    (seed,) = options.seed
+    check_seed(seed)
+    return int(seed)
+
+
 def _run_coverage(options: argparse.Namespace) -> int:
     check_workers(options)
     if options.recordings < 2:
         raise InputError(f"found --recordings {options.recordings}, expected 2 or more")
-    check_seed(options.seed)
-    seed = options.seed
+    seed = _one_seed(options)
     from identifiability.benchmark.coverage import measure, record
     from identifiability.files import output_folder
     from identifiability.report.coverage import coverage_page
@@ -161,15 +185,15 @@ def _run_responses(options: argparse.Namespace) -> int:
 
 
 def _run_speed(options: argparse.Namespace) -> int:
-    check_seed(options.seed)
+    seed = _one_seed(options)
     from identifiability.benchmark.speed import SIZES, measure, record
     from identifiability.files import output_folder
     from identifiability.report.speed import speed_page
 
     out = output_folder(options.out)
     cells = out / "speed.cells"
-    rows, outcomes = measure(SIZES, seed=options.seed, folder=cells)
-    found = record(rows, seed=options.seed)
+    rows, outcomes = measure(SIZES, seed=seed, folder=cells)
+    found = record(rows, seed=seed)
     said = [
         f"{row.size.name}, {row.size.imposed} imposed: {row.empty.seconds:.0f} s with an empty "
         f"cache, {row.full.seconds:.0f} s with a full one, silent for {row.full.silence:.0f} s"

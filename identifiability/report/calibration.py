@@ -10,13 +10,13 @@ from identifiability.report.markdown import percent, table
 
 
 def calibration_page(record: Mapping[str, Any]) -> str:
-    """Page in Markdown from the plain record of `benchmark.calibration`."""
-    claims = record["claims"]
+    """Page in Markdown from the plain record of `benchmark.seeds`."""
+    claims, seeds = record["claims"], " ".join(map(str, record["seeds"]))
     low, high = claims["interval"]
     parts = [
         "# Calibration: whether the probabilities of an investigation are what they say",
         f"Made by `identifiability benchmark calibration --cases {record['cases']} "
-        f"--seed {record['seed']} --out results`\n({made_by(record)}). Joints of all sizes with "
+        f"--seed {seeds} --out results`\n({made_by(record)}). Joints of all sizes with "
         "hidden effects from a simulator that shares no equations\nwith the library, torque or "
         "angle imposed, 100 to 1,000 Hz, short trials or one long record, eight\nkinds of noise "
         "(white, AR(1) of 0.9 and 0.99, random walk, hum, differenced, an encoder's rounding,\n"
@@ -24,6 +24,7 @@ def calibration_page(record: Mapping[str, Any]) -> str:
         f"Effects were named in {claims['n']} cases, rightly in {claims['right']} of them "
         f"({100 * low:.0f} to {100 * high:.0f} %, Wilson's\n95 % interval). A name is given where "
         "its probability is 95 % or more.",
+        *_by_seed(record["runs"]),
         "*Right*: all effects are named, alone or in a set; or nothing is, where nothing or "
         "something unknown\nis there. *Partly*: some are. *Wrong*: something false is named, or "
         "said to be unknown where nothing\nis. Of *right*, *partly* and *abstained* cases count "
@@ -95,27 +96,58 @@ def calibration_page(record: Mapping[str, Any]) -> str:
                 if j["n"]
             ],
         ),
-        *_missed([s for s in record["scores"] if s["outcome"] in ("wrong", "failed")]),
+        *_missed(
+            [
+                (run["seed"], s)
+                for run in record["runs"]
+                for s in run["scores"]
+                if s["outcome"] in ("wrong", "failed")
+            ]
+        ),
     ]
     return "\n\n".join(parts) + "\n"
 
 
-def _missed(scores: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Cases that went wrong, or failed."""
+def _by_seed(runs: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Every seed as it came out."""
+    rows = []
+    for run in runs:
+        outcomes = [s["outcome"] for s in run["scores"]]
+        low, high = run["claims"]["interval"]
+        rows.append(
+            [
+                str(run["seed"]),
+                str(len(outcomes)),
+                f"{run['claims']['right']} of {run['claims']['n']}",
+                f"{100 * low:.0f} to {100 * high:.0f} %",
+                *(
+                    str(outcomes.count(kind))
+                    for kind in ("right", "partly", "abstained", "wrong", "failed")
+                ),
+            ]
+        )
+    head = ["seed", "cases", "names right", "95 % interval"]
+    head += ["right", "partly", "abstained", "wrong", "failed"]
+    return ["By seed, weak effects counted too:", table(head, rows)]
+
+
+def _missed(scores: Sequence[tuple[int, Mapping[str, Any]]]) -> list[str]:
+    """Cases that went wrong, or failed, with their seed."""
     if not scores:
         return ["No case went wrong, and none failed."]
     rows = [
         [
+            str(seed),
             s["name"],
             f"{s['noise']}, {s['ratio']:g}",
             s["failure"] or "; ".join(" or ".join(names) for names in s["sets"]) or s["claim"],
             percent(s["probability"]),
         ]
-        for s in scores
+        for seed, s in scores
     ]
     return [
         "Cases that went wrong, or failed:",
-        table(["case", "noise", "claimed", "probability"], rows),
+        table(["seed", "case", "noise", "claimed", "probability"], rows),
     ]
 
 
