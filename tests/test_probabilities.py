@@ -40,6 +40,7 @@ from identifiability.investigation.posterior.noises import Weighed
 from identifiability.investigation.posterior.prior import Prior, priors_of
 from identifiability.investigation.posterior.reference import evaluator_of
 from identifiability.investigation.posterior.search import _Search
+from identifiability.investigation.posterior.signatures import _Left
 from identifiability.investigation.posterior.weighing import Weighing
 from identifiability.investigation.rules import Rules
 from identifiability.investigation.session import Investigation
@@ -748,6 +749,19 @@ def test_priors_of_what_is_typical_integrate_to_one_over_its_logarithm():
     assert prior.log_density(2.5) > prior.log_density(2.4)
     assert prior.turn(2.4) == pytest.approx(2.4)
     assert np.isfinite(prior.log_density(0.0))
+
+
+def test_the_signature_of_what_diverges_has_no_size_but_a_shape():
+    ev = evaluator_for(servo_trials(Joint(ANATOMY)))
+    found = ev.by_least_squares(ev.begun(KBI(), [START]))
+    left = _Left(ev, found, ev.white)
+    shape = (len(ev.band.observations), max(o.measured.size for o in ev.band.observations), 1)
+    change = np.random.default_rng(4).standard_normal(shape)
+    expected = left.removed(change)
+    assert expected > 0
+    assert left.removed(1e200 * change) == pytest.approx(expected)
+    assert left.removed(0 * change) == 0.0
+    assert left.removed(np.inf * change) == 0.0
 
 
 def test_noise_that_is_most_of_a_response_is_improbable():

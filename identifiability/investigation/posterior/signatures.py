@@ -93,6 +93,10 @@ class _Left:
         """Share of the squares that a change of the right size removes; 0 if it is not finite."""
         if not np.all(np.isfinite(change)):
             return 0.0
-        white = self._rest(self.weights.whitened(self.band.stretches(change))[:, 0])
+        # Of size 1: the square of one that diverges may be beyond all numbers.
+        largest = float(np.max(np.abs(change)))
+        if not largest:
+            return 0.0
+        white = self._rest(self.weights.whitened(self.band.stretches(change / largest))[:, 0])
         size = float(white @ white)
         return float(white @ self.residual) ** 2 / size if size > 0 else 0.0

@@ -90,7 +90,10 @@ def _target() -> llvm.Target:
 
 
 def _machine() -> llvm.TargetMachine:
-    features = llvm.get_host_cpu_features().flatten()
+    try:
+        features = llvm.get_host_cpu_features().flatten()
+    except RuntimeError:
+        features = ""  # of a processor that LLVM cannot ask
     return _target().create_target_machine(cpu=llvm.get_host_cpu_name(), features=features, opt=2)
 
 
