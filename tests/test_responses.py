@@ -34,5 +34,5 @@ def test_what_is_published_is_what_the_record_says():
     assert [(tuple(r["effects"]), r["imposed"]) for r in stored["rows"]] == list(questions())
     assert all(r["difference"] < 1e-9 for r in stored["rows"])
     # A fit asks for many points of many models: neither may cost more than it did.
-    assert stored["median_once"] > 1
+    assert stored["once"] < stored["once_jax"]
     assert stored["median_each"] > 1
