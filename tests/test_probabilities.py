@@ -738,7 +738,7 @@ def test_a_second_mass_is_what_wobbles_beside_a_joint():
 
     tissue = log_prior(0.1, 0.03, 0.2)
     # A limb in a light cuff may still be one; a filter may not.
-    assert tissue - log_prior(0.01, 0.05, 0.5) < 2.0
+    assert tissue - log_prior(0.01, 0.02, 0.5) < 2.0
     assert tissue - log_prior(1.3e-4, 0.0105, 2.94) > 6.0
 
 

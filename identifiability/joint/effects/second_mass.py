@@ -11,7 +11,7 @@ from jax.typing import ArrayLike
 from identifiability.joint.effects.base import Effect, Motion
 from identifiability.joint.parameters import Parameter
 
-_SHARE, _SHARE_SPREAD = 0.5, 1.5
+_SHARE, _SHARE_SPREAD = 0.5, 1.0
 _DAMPING, _DAMPING_SPREAD = 0.3, 1.0
 
 
@@ -84,9 +84,9 @@ class SecondMass(Effect):
 
         Soft tissue has from a fifth of a segment's mass to twice that of its bones, and its wobble
         fades within some periods (Gruber et al. 1998); in a cuff the heavier part may be the limb.
-        Nineteen in twenty have a thirtieth to ten times the joint's inertia. One with nearly all
-        inertia, held by a damper alone, is no mass that wobbles, but what a filter of the torque
-        looks like.
+        Nineteen in twenty have a fourteenth to three and a half times the joint's inertia. One with
+        nearly all inertia, held by a damper alone, is no mass that wobbles, but what a filter of
+        the torque looks like.
         """
         return {
             f"{self.key}.inertia": (_SHARE * values["I"], _SHARE_SPREAD),
