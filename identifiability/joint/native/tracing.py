@@ -127,6 +127,9 @@ class _Reading:
     def _square(self, a: np.ndarray) -> np.ndarray:
         return self._each("mul", a, a)
 
+    def _one_minus_square(self, a: np.ndarray) -> np.ndarray:
+        return self._each("sub", _constants(self.graph, np.ones(a.shape)), self._square(a))
+
     def _rsqrt(self, a: np.ndarray, **_: Any) -> np.ndarray:
         return self._each("div", _constants(self.graph, np.ones(a.shape)), self._each("sqrt", a))
 
