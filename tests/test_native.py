@@ -176,6 +176,11 @@ def test_what_it_does_not_know_jax_computes(driven):
     agree(both[1].responses(x)[0], both[0].responses(x)[0], 1e-11)
 
 
+@pytest.mark.parametrize("key", EFFECTS)
+def test_every_effect_has_machine_code(key):
+    assert kernel_of(KBI() + EFFECTS[key](), ()) is not None
+
+
 def test_a_model_that_would_take_long_to_compile_is_left_to_jax(monkeypatch):
     monkeypatch.setattr(kernel, "_MOST", 3)
     assert kernel_of(KBI() + EFFECTS["gravity"](), (0, 1, 4)) is None

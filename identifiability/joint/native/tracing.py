@@ -77,6 +77,8 @@ class _Reading:
             return [self._each(name, *args)]
         if name in _COPIES:
             return list(args)
+        if name == "unstack":
+            return list(np.moveaxis(args[0], params.get("axis", 0), 0))
         shaped = _SHAPED.get(name)
         if shaped is not None:
             return [shaped(args, params)]
