@@ -426,9 +426,10 @@ class Problem:
     def with_scheme(self, scheme: Scheme) -> Problem:
         """Return the same problem with its response computed in another way."""
         other = replace(self, scheme=scheme)
-        steps = scheme.between(self.program.readings)
-        stacked = self.data._replace(substeps=jnp.asarray(steps))
-        other.__dict__["data"] = stacked  # all but the steps, as it would be put together anew
+        if "data" in self.__dict__:
+            steps = scheme.between(self.program.readings)
+            stacked = self.data._replace(substeps=jnp.asarray(steps))
+            other.__dict__["data"] = stacked  # all but the steps, as it would be put together anew
         return other
 
     def halved(self) -> Problem:

@@ -15,6 +15,7 @@ import numpy as np
 from identifiability.errors import InputError
 from identifiability.inference.problem import Observation, observe
 from identifiability.investigation.rules import Rules
+from identifiability.joint.programs import roomy
 from identifiability.measurement.filtering import Lowpass
 from identifiability.measurement.noise import Noise
 from identifiability.measurement.prepared import Prepared, prepare
@@ -25,7 +26,6 @@ MOST_SAMPLES = 8_192
 """Samples of one trial or half a record that models are fitted to or judged on."""
 
 _LONGEST, _WARM_UP = 4096, 1.0  # samples of a piece; seconds in which a piece forgets its start
-_SHORTEST, _RATIO = 64, 1.25  # of the lengths that imposed angles are padded to
 _ROUND = 64  # lengths are padded to a multiple, so that compiled programs serve many data sets
 
 
@@ -120,16 +120,6 @@ class Split:
         if self.fitted[0].trial.driven == "angle":
             return len(every), roomy(longest)
         return len(every), -(-longest // _ROUND) * _ROUND
-
-
-def roomy(n: int) -> int:
-    """One of few lengths that so many samples fit into.
-
-    Where an imposed angle was thinned to its motion, records have any length; a compiled program
-    for each would take longer than the samples that are computed for nothing.
-    """
-    lengths = np.ceil(_SHORTEST * _RATIO ** np.arange(60)).astype(int)
-    return int(lengths[np.searchsorted(lengths, n)])
 
 
 def gather(

@@ -17,7 +17,7 @@ from identifiability.joint.model import Model
 from identifiability.joint.traced import Traced
 from identifiability.provenance import code_fingerprint
 
-# A search for effects compiles a hundred programs, and calls each some dozens of times. Costly
+# An investigation compiles dozens of programs, and calls each some dozens of times. Costly
 # passes save next to nothing here and take a third of the compiler's time; the newer emitters of
 # fused loops take as long again; and handing the sums of a time step to a library of threaded
 # kernels makes the step slower.
@@ -35,6 +35,8 @@ _MAPS, _LIMIT = Path("/proc/self/maps"), Path("/proc/sys/vm/max_map_count")
 
 # Counting maps takes milliseconds; between two counts fewer are added than are left free.
 _EVERY, _SHARE = 16, 0.6
+
+_SHORTEST, _RATIO = 64, 1.25  # of the lengths that recordings are padded to
 
 _calls = count()
 
@@ -127,6 +129,16 @@ def _understood() -> dict[str, bool | int | str]:
             continue
         kept[name] = value
     return kept
+
+
+def roomy(n: int) -> int:
+    """One of few lengths that so many samples fit into.
+
+    Where recordings have any length, a compiled program for each would take longer than the samples
+    that are computed for nothing.
+    """
+    lengths = np.ceil(_SHORTEST * _RATIO ** np.arange(60)).astype(int)
+    return int(lengths[np.searchsorted(lengths, n)])
 
 
 def make_room() -> None:

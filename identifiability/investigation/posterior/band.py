@@ -20,8 +20,9 @@ from identifiability.errors import InputError
 from identifiability.inference.problem import Observation, Prior, Problem
 from identifiability.inference.starts import plain_values
 from identifiability.investigation.posterior import between
-from identifiability.investigation.split import MOST_SAMPLES, owners, pieces, roomy
+from identifiability.investigation.split import MOST_SAMPLES, owners, pieces
 from identifiability.joint.model import Model
+from identifiability.joint.programs import roomy
 from identifiability.joint.scheme import Scheme
 from identifiability.measurement.filtering import (
     HIGHEST_HZ,

@@ -15,11 +15,9 @@ from identifiability.joint.instruments import readings_of
 from identifiability.joint.model import Model
 from identifiability.joint.native.kernel import Kernel, kernel_of
 from identifiability.joint.native.steps import Imposed, exact, integrated
-from identifiability.joint.programs import compiled
+from identifiability.joint.programs import compiled, roomy
 from identifiability.joint.scheme import Scheme
 from identifiability.measurement.perturbations import Drive
-
-_SHORTEST, _RATIO = 64, 1.5  # of the lengths that what instruments see is padded to
 
 
 class Responses:
@@ -122,8 +120,7 @@ def _recorded(
     own = [names.index(name) for name in model.parameter_names[3:]]
     n, width = response.shape
     # Of few shapes. An instrument that reads beyond the end finds what was last.
-    longer = int(np.ceil(_SHORTEST * _RATIO ** np.ceil(np.log(n / _SHORTEST) / np.log(_RATIO))))
-    signal = np.zeros((max(longer, n), width))
+    signal = np.zeros((roomy(n), width))
     signal[:n] = response
     signal[n:] = signal[n - 1]
     turned = np.zeros((width - 1, len(own)))
