@@ -13,6 +13,6 @@ F = TypeVar("F", bound=Callable[..., Any])
 def compiled_loop(function: F) -> F:
     """Compile a function on arrays when it is first called, and keep it on disk.
 
-    Other threads run while it does.
+    Other threads run while it does. What is divided by 0 is infinite, or no number.
     """
-    return cast(F, njit(cache=True, nogil=True)(function))
+    return cast(F, njit(cache=True, nogil=True, error_model="numpy")(function))

@@ -1,6 +1,7 @@
 """The likelihood of noisy recordings: exact where that can be checked, and covering where not."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import jax
 import numpy as np
@@ -9,6 +10,7 @@ import scipy.linalg
 from scipy import signal
 
 from identifiability.benchmark import coverage, noisy_recordings
+from identifiability.inference import evaluation
 from identifiability.inference.curvature import curvature
 from identifiability.inference.fitting import fit
 from identifiability.inference.likelihood import carried, coloured
@@ -95,8 +97,15 @@ def test_both_whitenings_and_their_derivatives_agree(ceiling):
 
     there = np.append(np.asarray(colour.arrays().weight).ravel() > 0, True)
     expected = [np.asarray(f(np.zeros(3)))[there] for f in (moved, jax.jacfwd(moved))]
-    both = np.concatenate([residual[..., None], slope], axis=2)
-    found = colour.whitened(list(both), joint, np.eye(3))
+    nothing = np.zeros(90)
+    fields = ("measured", "scale", "carry", "constant")
+    one = SimpleNamespace(**dict.fromkeys(fields, nothing), previous=nothing.astype(int))
+    what = evaluation.compared([one, one], [one.previous] * 2, 0, (0, 0), colour)._replace(
+        columns=4
+    )
+    both = np.concatenate([residual[..., None], slope], axis=2).reshape(180, 4)
+    found = np.zeros((what.n_rows, 4))
+    evaluation._coloured(both, what, joint, np.array([1, 2, 3]), found)
     np.testing.assert_allclose(found, np.column_stack(expected), rtol=1e-9, atol=1e-9)
 
 

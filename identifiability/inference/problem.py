@@ -7,7 +7,6 @@ samplers and quadrature see only parameter vectors, whitened residuals and log p
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from threading import local
@@ -20,26 +19,21 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from identifiability.errors import InputError
+from identifiability.inference.evaluation import Compared, Evaluation, compared
 from identifiability.inference.likelihood import coloured
 from identifiability.inference.likelihood.coloured import Colour, ColourArrays
-from identifiability.inference.whitening import sum_levels, take_levels, whiten
 from identifiability.joint.instruments import readings_of
 from identifiability.joint.integrator import integrate
 from identifiability.joint.model import Model
-from identifiability.joint.native.response import Responses, responses_of
-from identifiability.joint.programs import THREADS, compiled, make_room
+from identifiability.joint.native.response import responses_of
+from identifiability.joint.programs import compiled, make_room
 from identifiability.joint.response import exact_response
 from identifiability.joint.scheme import Scheme
 from identifiability.measurement.noise import Noise
 from identifiability.measurement.perturbations import Drive
 
-# Batches are padded to one of a few sizes, so that a few compilations serve any number of points.
-# A batch of long records, or of integrated models, is kept small: what does not fit the processor's
-# cache is slower (a reflex takes twice as long a point in batches of 512 as in batches of 32), and
-# walkers are too few to fill a large one.
-_SMALL_BATCH, _BATCHES = 32, (512, 4096)
+_BATCH = 32  # points that JAX computes at once, where machine code does not know the model
 _DIFFERENCE = 1e-3  # step of differences, in slice widths
-_MOST_ELEMENTS = 2**21
 
 
 @dataclass(frozen=True, eq=False)
@@ -329,7 +323,7 @@ class Problem:
     exact_hessian: bool = True
     colour: Colour | None = None
     _last: local = field(default_factory=local, init=False, repr=False)
-    _responses: dict[tuple[int, ...], Responses | None] = field(
+    _evaluations: dict[tuple[int, ...], Evaluation | None] = field(
         default_factory=dict, init=False, repr=False
     )
 
@@ -385,15 +379,6 @@ class Problem:
     def n_samples(self) -> int:
         """Number of compared samples."""
         return sum(o.n_compared for o in self.observations)
-
-    @cached_property
-    def batches(self) -> tuple[int, ...]:
-        """Numbers of points that are computed at once."""
-        if not self.integration.exact:
-            return (_SMALL_BATCH,)
-        size = self.data.measured.size * self.program.readings
-        fitting = [b for b in _BATCHES if b * size <= _MOST_ELEMENTS]
-        return tuple(fitting) or (_SMALL_BATCH,)
 
     @cached_property
     def template(self) -> np.ndarray:
@@ -493,8 +478,8 @@ class Problem:
 
     def responses(self, x: np.ndarray) -> list[np.ndarray]:
         """Model response of each observation, at all its samples."""
-        if (native := self._native(())) is not None:
-            return [found[:, 0] for found in native.at(self.complete(x))]
+        if (evaluation := self._evaluation(())) is not None:
+            return [found[:, 0] for found in evaluation.responses.at(self.complete(x))]
         stacked = np.asarray(_responses(self.program, x, self.template, self.data))
         return [y[: o.measured.size] for y, o in zip(stacked, self.observations, strict=False)]
 
@@ -514,8 +499,8 @@ class Problem:
         # Optimisers ask for both at the same point, one after the other: compute them together.
         x, last = np.asarray(x, float), self._last
         if not hasattr(last, "x") or not np.array_equal(last.x, x):
-            if (native := self._native(self.free)) is not None:
-                white = self._whitened(x, native.at(self.complete(x)))
+            if (evaluation := self._evaluation(self.free)) is not None:
+                white = evaluation.whitened(x)
                 last.both = white[:, 0].copy(), white[:, 1:].copy()
             else:
                 both = _linearised(self.program, x, self.template, self.data)
@@ -524,36 +509,36 @@ class Problem:
         found: tuple[np.ndarray, np.ndarray] = last.both
         return found
 
-    def _native(self, free: tuple[int, ...]) -> Responses | None:
-        """Responses by machine code, with derivatives by some parameters, where it can."""
-        if free not in self._responses:
-            drives = [o.drive for o in self.observations]
-            self._responses[free] = responses_of(self.model, free, drives, self.integration)
-        return self._responses[free]
+    def solved(self, points: np.ndarray, moves: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+        """Least squares from each point on, within the bounds; see `Evaluation.optima`.
 
-    def _whitened(self, x: np.ndarray, responses: Sequence[np.ndarray]) -> np.ndarray:
-        """Whitened residuals with their derivatives, of all observations in one row."""
-        every = self.observations
-        if self.colour is not None:
-            left = [found.copy() for found in responses]
-            for residual, o in zip(left, every, strict=True):
-                residual[:, 0] -= o.measured
-            moved = np.equal.outer(range(3), self.free).astype(float)
-            return self.colour.whitened(left, self.complete(x)[:3], moved)
-        longest = max(self.room[1], *(o.measured.size for o in every))
-        shape = max(len(every), self.room[0]), longest, responses[0].shape[1]
-        white = np.zeros(shape)
-        for o, response, out in zip(every, responses, white, strict=False):
-            whiten(response, o.measured, o.scale, o.carry, o.previous, out)
-        firsts, used = _segments(every)
-        if used:
-            sums = np.zeros((used, shape[2]))
-            numbered = [o.segment + first for o, first in zip(every, firsts, strict=True)]
-            for o, segment, out in zip(every, numbered, white, strict=False):
-                sum_levels(out, o.constant, segment, sums)
-            for o, segment, out in zip(every, numbered, white, strict=False):
-                take_levels(out, o.constant, segment, sums)
-        return white.reshape(-1, shape[2])
+        Returns
+        -------
+        tuple of array, or None
+            None of a model that machine code does not know.
+        """
+        evaluation = self._evaluation(self.free)
+        if evaluation is None:
+            return None
+        return evaluation.optima(points, moves, self.lower, self.upper)
+
+    def _evaluation(self, free: tuple[int, ...]) -> Evaluation | None:
+        """The likelihood by machine code, with derivatives by all free parameters or none."""
+        if free not in self._evaluations:
+            drives = [o.drive for o in self.observations]
+            responses = responses_of(self.model, free, drives, self.integration)
+            self._evaluations[free] = (
+                None
+                if responses is None
+                else Evaluation(responses, self._compared, self.template, self.free)
+            )
+        return self._evaluations[free]
+
+    @cached_property
+    def _compared(self) -> Compared:
+        firsts, used = _segments(self.observations)
+        segments = [o.segment + a for o, a in zip(self.observations, firsts, strict=True)]
+        return compared(self.observations, segments, used, self.room, self.colour)
 
     def hessian(self, x: np.ndarray) -> np.ndarray:
         """Second derivatives of the negative log likelihood, shape (n_free, n_free)."""
@@ -586,18 +571,17 @@ class Problem:
             Minus infinity where the response overflows.
         """
         points = np.asarray(points, float)
+        if (evaluation := self._evaluation(())) is not None:
+            return evaluation.log_likelihood(points)
 
-        def compute(first: int) -> np.ndarray:
-            chunk = np.arange(first, min(first + self.batches[-1], len(points)))
-            padded = points[pad(chunk, self.batches)]
+        found = [np.empty(0)]
+        for first in range(0, len(points), _BATCH):
+            chunk = points[first : first + _BATCH]
+            # Of one size, so that one program serves any number of points.
+            padded = np.resize(chunk, (_BATCH, points.shape[1]))
             values = _log_likelihoods(self.program, padded, self.template, self.data)
-            return np.asarray(values)[: chunk.size]
-
-        starts = range(0, len(points), self.batches[-1])
-        if len(starts) == 1:
-            return compute(0)
-        with ThreadPoolExecutor(THREADS) as pool:
-            return np.concatenate([*pool.map(compute, starts), np.empty(0)])
+            found.append(np.asarray(values)[: len(chunk)])
+        return np.concatenate(found)
 
     def log_posterior(self, points: np.ndarray) -> np.ndarray:
         """Log likelihood inside the prior's bounds, minus infinity outside; shape (n_points,)."""
@@ -606,11 +590,6 @@ class Problem:
         # Points outside are moved inside for the batch to keep its size, then discarded.
         safe = np.clip(points, self.lower, self.upper)
         return np.where(inside, self.log_likelihood(safe), -np.inf)
-
-
-def pad(indices: np.ndarray, sizes: tuple[int, ...]) -> np.ndarray:
-    """Indices repeated up to the next of the sizes."""
-    return np.resize(indices, next(size for size in sizes if size >= indices.size))
 
 
 def _whole(program: Program, x: ArrayLike, template: ArrayLike) -> Array:

@@ -7,7 +7,7 @@ from typing import Literal
 
 import numpy as np
 
-from identifiability.inference.conditional import conditional_optima, one_by_one
+from identifiability.inference.conditional import conditional_optima
 from identifiability.inference.curvature import Curvature, curvature
 from identifiability.inference.problem import Problem
 
@@ -192,8 +192,7 @@ def _follow(
         still[:, index] = values
         ridge[:, index] = values
         tried = [ridge, still] if points >= POINTS else [ridge]
-        solve = conditional_optima if points >= POINTS else one_by_one
-        solved = solve(problem, (index,), np.concatenate(tried))
+        solved = conditional_optima(problem, (index,), np.concatenate(tried))
         likelihoods = solved.log_likelihood.reshape(len(tried), -1)
         better = np.argmax(likelihoods, axis=0)
         found = solved.points.reshape(len(tried), len(values), -1)[better, np.arange(len(values))]

@@ -79,9 +79,10 @@ class StudentMixture:
         component = random.choice(len(self.weights), size=n, p=self.weights)
         normal = random.standard_normal((n, k))
         stretch = np.sqrt(self.df / random.chisquare(self.df, n))
-        return self.means[component] + stretch[:, None] * np.einsum(
-            "nij,nj->ni", self.factors[component], normal
-        )
+        for i, factor in enumerate(self.factors):
+            chosen = component == i
+            normal[chosen] = normal[chosen] @ factor.T
+        return np.asarray(self.means[component] + stretch[:, None] * normal)
 
 
 def laplace_t(

@@ -75,6 +75,6 @@ def between(arrays: DriveArrays, readings: int) -> DriveArrays:
     rows = [states]
     for _ in range(readings - 1):
         rows.append(rows[-1] @ onwards.T)
-    fine = jnp.stack(rows, axis=1).reshape(-1, states.shape[1])
+    fine = jnp.stack(rows, axis=1).reshape(readings * states.shape[0], states.shape[1])
     kicks = jnp.zeros((impulses.shape[0], readings)).at[:, 0].set(impulses)
     return step, generator, readout, fine, kicks.reshape(-1)

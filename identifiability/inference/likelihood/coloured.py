@@ -25,7 +25,8 @@ from identifiability.inference.likelihood.carried import motion_taps
 from identifiability.inference.likelihood.estimate import NoiseEstimate
 from identifiability.inference.likelihood.processes import Whitening
 
-_LEAST = 1e-6  # of the ceiling, that is left of it
+LEAST = 1e-6
+"""Share of the ceiling that is left of it at least."""
 _CEILING = 4.0  # of the correction at the optimum, so that the rest of the cost stays positive
 # Lags are padded to one of two numbers, so that few programs are compiled: those of an ARMA and the
 # admittance, and those of an imposed angle's derivatives.
@@ -82,42 +83,16 @@ class Colour:
         return max(s.size for of_one in self.stretches for s in of_one)
 
     @cached_property
-    def _whitenings(self) -> list[Whitening]:
+    def whitenings(self) -> list[Whitening]:
+        """Of each noise, for the longest stretch."""
         return [estimate.noise.whitening(self._longest) for estimate in self.noises]
 
-    def whitened(
-        self, residuals: Sequence[np.ndarray], joint: np.ndarray, moved: np.ndarray
-    ) -> np.ndarray:
-        """Whitened residuals with their derivatives, of all observations in one row.
-
-        Parameters
-        ----------
-        residuals : sequence of array, shape (n, width)
-            By observation: the residual, then its derivatives.
-        joint : array, shape (3,)
-            K, B and I.
-        moved : array, shape (3, width - 1)
-            Their derivatives.
-
-        Returns
-        -------
-        array, shape (n_residuals, width)
-            See the function `whitened`, without what is only padding.
-        """
-        parts = []
-        for row, (residual, of_one) in enumerate(zip(residuals, self.stretches, strict=True)):
-            whitening = self._whitenings[self.which[row]]
-            size = self.noises[self.which[row]].levels[self.trial[row]]
-            parts += [whitening.without_level(residual[s] / size)[0] for s in of_one]
-        if self.excess is not None:
-            ceiling = _CEILING * float(self.joint @ self.excess @ self.joint)
-            left = ceiling - float(joint @ self.excess @ joint)
-            root = np.sqrt(max(left, _LEAST * ceiling))
-            slopes = (
-                -(joint @ self.excess @ moved) / root if left > _LEAST * ceiling else 0 * moved[0]
-            )
-            parts.append(np.append(root, slopes)[None])
-        return np.concatenate(parts)
+    @cached_property
+    def ceiling(self) -> float:
+        """What the excess is taken off; 0 without one."""
+        if self.excess is None:
+            return 0.0
+        return _CEILING * float(self.joint @ self.excess @ self.joint)
 
     def arrays(self) -> ColourArrays:
         """Arrays that `whitened` takes."""
@@ -126,7 +101,7 @@ class Colour:
         most = max(len(of_one) for of_one in self.stretches)
         order = np.zeros((rows, most, longest), int)
         weight, level = np.zeros((2, rows, most, longest))
-        whitenings = self._whitenings
+        whitenings = self.whitenings
         constants = [whitening(np.ones((longest, 1)))[:, 0] for whitening in whitenings]
         lags = max(w.factor.shape[1] for w in whitenings)
         ar = np.zeros((len(whitenings), longest, _FEW_LAGS))
@@ -146,8 +121,7 @@ class Colour:
                 level[row, j, :n] = constants[noise][:n] / np.linalg.norm(constants[noise][:n])
         excess = None
         if self.excess is not None:
-            ceiling = _CEILING * float(self.joint @ self.excess @ self.joint)
-            excess = jnp.asarray(self.excess), jnp.asarray(ceiling)
+            excess = jnp.asarray(self.excess), jnp.asarray(self.ceiling)
         return ColourArrays(
             jnp.asarray(order),
             jnp.asarray(weight),
@@ -227,4 +201,4 @@ def whitened(residual: Array, theta: Array, colour: ColourArrays) -> Array:
         return white.ravel()
     excess, ceiling = colour.excess
     left = ceiling - theta[:3] @ excess @ theta[:3]
-    return jnp.append(white.ravel(), jnp.sqrt(jnp.maximum(left, _LEAST * ceiling)))
+    return jnp.append(white.ravel(), jnp.sqrt(jnp.maximum(left, LEAST * ceiling)))

@@ -14,7 +14,6 @@ from identifiability.joint.effects.base import Motion
 from identifiability.joint.model import Model
 from identifiability.joint.native.expressions import Graph
 from identifiability.joint.native.machine import LANES, Code, Row
-from identifiability.joint.native.steps import Machine
 from identifiability.joint.native.tracing import Untraceable, expressions_of
 
 _MOST = 60_000  # expressions, beyond which compiling them takes longer than JAX's loops
@@ -55,20 +54,6 @@ class Kernel:
     def width(self) -> int:
         """Room for the value and derivatives of what depends on the parameters."""
         return _wide(self.free)
-
-    def at(self, theta: np.ndarray) -> Machine:
-        """The model at one parameter vector."""
-        theta = np.ascontiguousarray(theta, float)
-        n = 2 + self.model.n_internal
-        rest = self.still(theta)
-        return Machine(
-            self.moving.address,
-            self.turning.address,
-            theta,
-            1 + self.free.index(2) if 2 in self.free else 0,
-            rest[: n * n].reshape(n, n, self.width),
-            rest[n * n :],
-        )
 
 
 def kernel_of(model: Model, free: tuple[int, ...]) -> Kernel | None:
@@ -121,15 +106,15 @@ def _made(model: Model, free: tuple[int, ...]) -> Kernel:
     slopes = graph.derivatives(outputs, [*free, *moved])
     by_motion = [row[len(free) :] for row in slopes]
     moving = [
-        Row(value, row[: len(free)], by)
+        Row(value, row[: len(free)], by[: 2 + n], by[2 + n :])
         for value, row, by in zip(outputs, slopes, by_motion, strict=True)
     ]
-    turning = [Row(one, (), ()) for row in by_motion[2:] for one in row[2 : 2 + n]]
+    turning = [Row(one, ()) for row in by_motion[2:] for one in row[2 : 2 + n]]
     by_state = [one for row in by_motion for one in row[: 2 + n]]
     resting = graph.substituted(by_state, dict.fromkeys([*moved, len(inputs)], 0.0))
     resting += [delay.item() for delay in delays]
     bends = graph.derivatives(resting, free)
-    still = [Row(value, row, ()) for value, row in zip(resting, bends, strict=True)]
+    still = [Row(value, row) for value, row in zip(resting, bends, strict=True)]
     if len(graph.nodes) > _MOST:
         raise Untraceable(f"{len(graph.nodes)} expressions")
     return Kernel(

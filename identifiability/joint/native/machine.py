@@ -23,7 +23,7 @@ _INTRINSIC = {"abs": "fabs", "sqrt": "sqrt", "floor": "floor", "ceil": "ceil"}
 _LIBRARY = ("exp", "expm1", "log", "log1p", "sin", "cos", "tan", "sinh", "cosh", "tanh", "atan")
 
 _POINTER = ctypes.POINTER(ctypes.c_double)
-_FUNCTION = ctypes.CFUNCTYPE(None, _POINTER, _POINTER, _POINTER)
+_FUNCTION = ctypes.CFUNCTYPE(None, *[_POINTER] * 4)
 
 LANES = 4
 """Numbers that one instruction takes together."""
@@ -42,17 +42,21 @@ class Row(NamedTuple):
         Expression of it.
     slopes : sequence of int
         Its derivatives.
-    by_moved : sequence of int
-        Its derivatives by the first number of each of the rows that move.
+    by_state, by_past : sequence of int
+        Its derivatives by the values of the state, and by those of past motions.
     """
 
     value: int
     slopes: Sequence[int]
-    by_moved: Sequence[int]
+    by_state: Sequence[int] = ()
+    by_past: Sequence[int] = ()
 
 
 class Code:
-    """A compiled function ``f(inputs, moved, outputs)`` of pointers to double.
+    """A compiled function ``f(inputs, state, past, outputs)`` of pointers to double.
+
+    Values are read from the inputs; of state and past motions, whose rows have a value and its
+    derivatives, the derivatives alone.
 
     Attributes
     ----------
@@ -74,7 +78,7 @@ class Code:
     def __call__(self, given: np.ndarray) -> np.ndarray:
         """Rows of a value and its derivatives, of a row of inputs; nothing else moves."""
         out = np.zeros(self._shape)
-        pointers = (array.ctypes.data_as(_POINTER) for array in (given, out, out))
+        pointers = (array.ctypes.data_as(_POINTER) for array in (given, out, out, out))
         self._call(*pointers)
         return out
 
@@ -116,12 +120,12 @@ class _Writer:
         self.module = ir.Module(name="expressions")
         self.functions: dict[str, ir.Function] = {}
         pointer = _NUMBER.as_pointer()
-        function = ir.Function(self.module, ir.FunctionType(ir.VoidType(), [pointer] * 3), "f")
+        function = ir.Function(self.module, ir.FunctionType(ir.VoidType(), [pointer] * 4), "f")
         self.builder = ir.IRBuilder(function.append_basic_block())
-        self.given, self.moved, out = function.args
+        self.given, state, past, out = function.args
         made: dict[int, ir.Value] = {}
         zero = graph.constant(0.0)
-        for a in graph.reached(one for row in rows for one in (row[0], *row[1], *row[2])):
+        for a in graph.reached(one for row in rows for one in (row[0], *row[1], *row[2], *row[3])):
             operation, *args = graph.nodes[a]
             made[a] = (
                 self.leaf(operation, args[0])
@@ -131,16 +135,21 @@ class _Writer:
         for i, row in enumerate(rows):
             own = [row.value, *row.slopes]
             own += [zero] * (width - len(own))
-            by_moved = [(j, made[one]) for j, one in enumerate(row.by_moved) if one != zero]
+            moved = [
+                (pointer, j, made[one])
+                for pointer, slopes in ((state, row.by_state), (past, row.by_past))
+                for j, one in enumerate(slopes)
+                if one != zero
+            ]
             for first in range(0, width, LANES):
                 lanes = [made.get(one) for one in own[first : first + LANES]]
-                self.store(lanes, by_moved, out, i * width + first, first, width)
+                self.store(lanes, moved, out, i * width + first, first, width)
         self.builder.ret_void()
 
     def store(
         self,
         lanes: Sequence[ir.Value | None],
-        by_moved: Sequence[tuple[int, ir.Value]],
+        moved: Sequence[tuple[ir.Value, int, ir.Value]],
         out: ir.Value,
         at: int,
         first: int,
@@ -148,13 +157,22 @@ class _Writer:
     ) -> None:
         """Write some numbers of a row together, with what they have of the rows that move."""
         build, total = self.builder, ir.Constant(_TOGETHER, [0.0] * LANES)
+        for pointer, j, slope in moved:
+            there = build.load(together(build, self.at(pointer, j * width + first)), align=8)
+            term = build.fmul(spread(build, slope), there, flags=["contract"])
+            total = build.fadd(total, term, flags=["contract"])
+        own = ir.Constant(_TOGETHER, [0.0] * LANES)
         for k, lane in enumerate(lanes):
             if lane is not None:
-                total = build.insert_element(total, lane, ir.Constant(ir.IntType(32), k))
-        for j, slope in by_moved:
-            moved = build.load(together(build, self.at(self.moved, j * width + first)), align=8)
-            term = build.fmul(spread(build, slope), moved, flags=["contract"])
-            total = build.fadd(total, term, flags=["contract"])
+                own = build.insert_element(own, lane, ir.Constant(ir.IntType(32), k))
+        if moved and not first:
+            # The first lane is the value, which is a function of the inputs.
+            none = ir.Constant(_TOGETHER, [0.0] * LANES)
+            places = [LANES, *range(1, LANES)]
+            total = build.shuffle_vector(
+                total, none, ir.Constant(ir.VectorType(ir.IntType(32), LANES), places)
+            )
+        total = build.fadd(total, own, flags=["contract"])
         build.store(total, together(build, self.at(out, at)), align=8)
 
     @property

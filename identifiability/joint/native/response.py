@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
-import jax
 import numpy as np
 import scipy.linalg
-from jax import Array
 
-from identifiability.joint.effects.base import Effect
 from identifiability.joint.instruments import readings_of
 from identifiability.joint.model import Model
+from identifiability.joint.native.instruments import kind_of
 from identifiability.joint.native.kernel import Kernel, kernel_of
-from identifiability.joint.native.steps import Imposed, exact, integrated
-from identifiability.joint.programs import compiled, roomy
+from identifiability.joint.native.responding import ARRAYS, NUMBERS, respond
 from identifiability.joint.scheme import Scheme
 from identifiability.measurement.perturbations import Drive
 
@@ -25,14 +21,71 @@ class Responses:
 
     Attributes
     ----------
-    kernel : Kernel
-    scheme : Scheme
+    plan : array of int
+        What `respond` needs to know of them.
+    width : int
+        Of the rows that it writes: a value, its derivatives, and room.
+    columns : int
+        Those without the room.
+    starts : array of int, shape (n_drives + 1,)
+        Where in these rows the response to each drive begins, and where the last one ends.
+    lanes : array of int, shape (n_parameters,)
+        Which derivative is that by each parameter, from 1; 0 if none.
     """
 
-    def __init__(self, kernel: Kernel, drives: Sequence[Drive], scheme: Scheme) -> None:
-        self.kernel, self.scheme = kernel, scheme
-        self._readings = readings_of(kernel.model, max(drive.interval for drive in drives))
-        self._imposed = [_imposed(drive, self._readings, scheme) for drive in drives]
+    def __init__(
+        self, kernel: Kernel, drives: Sequence[Drive], scheme: Scheme, sensors: np.ndarray
+    ) -> None:
+        model, free = kernel.model, kernel.free
+        readings = readings_of(model, max(drive.interval for drive in drives))
+        substeps = scheme.between(readings)
+        every = [_imposed(drive, readings, max(substeps, 1)) for drive in drives]
+        self.lanes = np.zeros(len(model.parameter_names), np.int64)
+        self.lanes[list(free)] = 1 + np.arange(len(free))
+        first = every[0]
+        alike = all(
+            np.array_equal(one[name], first[name])
+            for one in every[1:]
+            for name in ("intervals", "signals", "generators")
+        )
+        counts = [0, *(len(drive.states) for drive in drives)]
+        self.starts, self.width = np.cumsum(counts), kernel.width
+        self.columns = 1 + len(free)
+        self._kernel = kernel  # whose code is called as long as this lives
+        numbers = {
+            "moving": kernel.moving.address,
+            "turning": kernel.turning.address,
+            "still": kernel.still.address,
+            "alone": not free,
+            "angle": drives[0].imposed == "angle",
+            "alike": alike,
+            "n_parameters": self.lanes.size,
+            "n_states": 2 + model.n_internal,
+            "n_delays": kernel.n_delays,
+            "width": kernel.width,
+            "substeps": 0 if scheme.exact else substeps,
+            "order": scheme.order,
+            "readings": readings,
+            "n_sensors": len(sensors),
+            "n_drives": len(drives),
+            "n_read": first["signals"].shape[1],
+            "n_generating": first["states"].shape[1],
+        }
+        self._arrays = {
+            "lanes": self.lanes,
+            "sensors": sensors,
+            "starts": readings * self.starts,
+            **{
+                name: np.stack([one[name] for one in every])
+                for name in ("intervals", "signals", "generators")
+            },
+            **{
+                name: np.concatenate([one[name] for one in every])
+                for name in ("given", "states", "impulses")
+            },
+        }
+        addresses = [self._arrays[name].ctypes.data for name in ARRAYS]
+        self.plan = np.array([*(numbers[name] for name in NUMBERS), *addresses], np.int64)
 
     def at(self, theta: np.ndarray) -> list[np.ndarray]:
         """Responses at a parameter vector.
@@ -42,20 +95,10 @@ class Responses:
         list of array, shape (n, 1 + n_free)
             By drive, at its samples: the response, then its derivatives.
         """
-        machine = self.kernel.at(theta)
-        sensors = [e for e in self.kernel.model.effects if e.place == "sensor"]
-        found = []
-        steps = self.scheme.between(self._readings)
-        for imposed in self._imposed:
-            out = np.zeros((len(imposed.states), self.kernel.width))
-            if self.scheme.exact:
-                exact(machine, imposed, out)
-            else:
-                integrated(machine, imposed, steps, self.scheme.order, out)
-            for sensor in sensors:
-                out = _recorded(self.kernel, sensor, machine.theta, out, imposed.interval)
-            found.append(out[:: self._readings, : 1 + len(self.kernel.free)])
-        return found
+        theta = np.ascontiguousarray(theta, float)
+        out = np.zeros((self.starts[-1], self.width))
+        respond.ctypes(self.plan.ctypes.data, theta.ctypes.data, out.ctypes.data, None)
+        return np.split(out[:, : self.columns], self.starts[1:-1])
 
 
 def responses_of(
@@ -72,72 +115,42 @@ def responses_of(
         All of torques, or all of angles.
     scheme : Scheme
     """
+    sensors, names = [], list(model.parameter_names)
+    for effect in model.effects:
+        if effect.place == "sensor":
+            kind = kind_of(effect)
+            if kind is None:
+                return None
+            sensors.append((kind, names.index(f"{effect.key}.{effect.parameters[0].name}")))
     kernel = kernel_of(model, free)
-    return None if kernel is None else Responses(kernel, drives, scheme)
+    if kernel is None:
+        return None
+    return Responses(kernel, drives, scheme, np.array(sensors, np.int64).reshape(-1, 2))
 
 
-def _imposed(drive: Drive, readings: int, scheme: Scheme) -> Imposed:
-    """A drive as the steps need it, with what instruments see between the samples."""
+def _imposed(drive: Drive, readings: int, substeps: int) -> dict[str, np.ndarray]:
+    """A drive as `Imposed` has it, with what instruments see between the samples."""
     interval = drive.interval / readings
-    generator = np.ascontiguousarray(drive.generator, float)
+    generator = np.asarray(drive.generator, float)
     states, impulses = np.asarray(drive.states, float), np.asarray(drive.impulses, float)
     if readings > 1:
         onward, rows = scipy.linalg.expm(generator * interval), [states]
         for _ in range(readings - 1):
             rows.append(rows[-1] @ onward.T)
-        states = np.stack(rows, axis=1).reshape(-1, states.shape[1])
+        states = np.stack(rows, axis=1).reshape(readings * len(states), states.shape[1])
         kicks = np.zeros((len(impulses), readings))
         kicks[:, 0] = impulses
         impulses = kicks.ravel()
-    places = 2 * max(scheme.between(readings), 1)
+    places = 2 * substeps
     onward = scipy.linalg.expm(generator * interval / places) if generator.size else generator
     signals = [np.asarray(drive.readout, float)]
     for _ in range(places):
         signals.append(signals[-1] @ onward)
-    return Imposed(
-        float(interval),
-        drive.imposed == "angle",
-        np.ascontiguousarray(states),
-        np.ascontiguousarray(signals),
-        generator,
-        np.ascontiguousarray(impulses),
-    )
-
-
-class _Sensor(NamedTuple):
-    """What a compiled function is specialised to."""
-
-    model: Model
-    effect: Effect
-
-
-def _recorded(
-    kernel: Kernel, effect: Effect, theta: np.ndarray, response: np.ndarray, interval: float
-) -> np.ndarray:
-    """What one instrument makes of a response and its derivatives."""
-    model = Model((effect,))
-    names = list(kernel.model.parameter_names)
-    own = [names.index(name) for name in model.parameter_names[3:]]
-    n, width = response.shape
-    # Of few shapes. An instrument that reads beyond the end finds what was last.
-    signal = np.zeros((roomy(n), width))
-    signal[:n] = response
-    signal[n:] = signal[n - 1]
-    turned = np.zeros((width - 1, len(own)))
-    for t, i in enumerate(kernel.free):
-        if i in own:
-            turned[t, own.index(i)] = 1.0
-    found = _seen(_Sensor(model, effect), theta[own], signal, turned, np.array(interval))
-    return np.ascontiguousarray(np.asarray(found)[:n])
-
-
-@compiled
-def _seen(sensor: _Sensor, values: Array, signal: Array, turned: Array, interval: Array) -> Array:
-    def record(p: Array, response: Array) -> Array:
-        return sensor.effect.record(list(p), response, interval)
-
-    def along(direction: Array, slope: Array) -> tuple[Array, Array]:
-        return jax.jvp(record, (values, signal[:, 0]), (direction, slope))
-
-    seen, slopes = jax.vmap(along, out_axes=(None, 1))(turned, signal[:, 1:].T)
-    return jax.numpy.concatenate([seen[:, None], slopes], axis=1)
+    return {
+        "intervals": np.array(float(interval)),
+        "given": states @ signals[0].T,
+        "states": states,
+        "signals": np.stack(signals),
+        "generators": generator,
+        "impulses": impulses,
+    }

@@ -1,7 +1,4 @@
-"""The steps of `integrator` and the exact response of `response`, with first derivatives.
-
-Arrays of what depends on parameters have the value and then each derivative along the last axis,
-whose length is a multiple of four. A model comes as the addresses of its code, see `Kernel`.
+"""The steps of `integrator`, with first derivatives, see `moving`.
 
 Both causalities take the same steps of the state [angle, velocity, internal states]: where the
 angle is imposed its first two entries are given.
@@ -10,164 +7,17 @@ angle is imposed its first two entries are given.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any, NamedTuple, cast
+from typing import NamedTuple
 
 import numpy as np
-from llvmlite import ir
-from numba import types
-from numba.core import cgutils
-from numba.extending import intrinsic
 
-from identifiability.joint.native.duals import (
-    added,
-    exponential,
-    multiplied,
-    phi_functions,
-    solved,
-)
-from identifiability.joint.native.machine import LANES, spread, together
+from identifiability.joint.native.calls import add_product, add_rows, copy_row, run
+from identifiability.joint.native.duals import added, multiplied, phi_functions, solved
+from identifiability.joint.native.machine import LANES
+from identifiability.joint.native.moving import Imposed, Machine, over_inertia, signal
 from identifiability.loops import compiled_loop
 
-_POINTER = ir.DoubleType().as_pointer()
 _NEWTON_STEPS = 22
-
-
-class Machine(NamedTuple):
-    """A model at one parameter vector.
-
-    Attributes
-    ----------
-    moving, turning : int
-        Addresses of its code, see `Kernel`.
-    theta : array, shape (n_parameters,)
-    inertia : int
-        Which derivative is that by the inertia, from 1; 0 if none.
-    rest : array, shape (2 + n_internal, 2 + n_internal, width)
-        Derivatives at rest of torque, acceleration and internal states' rates by angle, velocity
-        and internal states.
-    delays : array, shape (n_delays, width)
-        In s.
-    """
-
-    moving: int
-    turning: int
-    theta: np.ndarray
-    inertia: int
-    rest: np.ndarray
-    delays: np.ndarray
-
-
-class Imposed(NamedTuple):
-    """An imposed signal, as it is within steps.
-
-    Attributes
-    ----------
-    interval : float
-    angle : bool
-        Whether it is an angle.
-    states : array, shape (n, m)
-        Of what generates it, at the samples.
-    signals : array, shape (2 * substeps + 1, q, m)
-        What makes of them the torque, or angle, velocity and acceleration, at start and middle of
-        every step of an interval, and at its end.
-    generator : array, shape (m, m)
-    impulses : array, shape (n,)
-    """
-
-    interval: float
-    angle: bool
-    states: np.ndarray
-    signals: np.ndarray
-    generator: np.ndarray
-    impulses: np.ndarray
-
-
-@compiled_loop
-def _signal(imposed: Imposed, sample: int, place: int, out: np.ndarray) -> None:
-    """What is imposed, shape (q,), at a place in the interval from a sample on."""
-    for i in range(out.size):
-        out[i] = 0.0
-        for j in range(imposed.states.shape[1]):
-            out[i] += imposed.signals[place, i, j] * imposed.states[sample, j]
-
-
-class _Room(NamedTuple):
-    """Where a model's code reads all inputs, and the derivatives of those that move."""
-
-    given: np.ndarray
-    moved: np.ndarray
-
-
-@cast(Callable[..., Any], intrinsic)
-def _run(typing: Any, address: Any, given: Any, moved: Any, out: Any) -> Any:
-    """Call the code at an address."""
-    signature = types.void(types.intp, given, moved, out)
-
-    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        kind = ir.FunctionType(ir.VoidType(), [_POINTER] * 3)
-        function = builder.inttoptr(args[0], kind.as_pointer())
-        builder.call(function, _places(context, builder, signature.args[1:], args[1:]))
-        return context.get_dummy_value()
-
-    return signature, generate
-
-
-@cast(Callable[..., Any], intrinsic)
-def _add_product(typing: Any, matrix: Any, slopes: Any, vector: Any, out: Any, first: Any) -> Any:
-    """Add the product of a matrix and a vector to a vector, from an entry on.
-
-    ``out[i, t] += matrix[i, k] vector[k, t] + slopes[i, k, t] vector[k, 0]``, contiguous arrays,
-    several t by one instruction: what the compiler would make of loops takes five times as long.
-    """
-    signature = types.void(matrix, slopes, vector, out, types.intp)
-
-    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        size = ir.IntType(64)
-        shape = context.make_array(signature.args[2])(context, builder, args[2]).shape
-        n, width = (builder.extract_value(shape, i) for i in range(2))
-        a, da, x, y = _places(context, builder, signature.args[:4], args[:4])
-        lanes, one = ir.Constant(size, LANES), ir.Constant(size, 1)
-
-        def at(pointer: Any, place: Any) -> Any:
-            return builder.gep(pointer, [place])
-
-        def read(pointer: Any, place: Any) -> Any:
-            return builder.load(together(builder, at(pointer, place)), align=8)
-
-        def add(total: Any, one: Any, other: Any) -> Any:
-            term = builder.fmul(one, other, flags=["contract"])
-            return builder.fadd(total, term, flags=["contract"])
-
-        total = cgutils.alloca_once(builder, ir.VectorType(ir.DoubleType(), LANES))
-        ends = (args[4], n, one)
-        blocks = (ir.Constant(size, 0), width, lanes)
-        with (
-            cgutils.for_range_slice(builder, *ends) as (i, _),
-            cgutils.for_range_slice(builder, *blocks) as (t, _),
-        ):
-            target = builder.add(builder.mul(i, width), t)
-            builder.store(read(y, target), total)
-            with cgutils.for_range_slice(builder, *ends) as (k, _):
-                entry, row = builder.add(builder.mul(i, n), k), builder.mul(k, width)
-                value, first = builder.load(at(a, entry)), builder.load(at(x, row))
-                known = builder.load(total)
-                known = add(known, spread(builder, value), read(x, builder.add(row, t)))
-                slope = read(da, builder.add(builder.mul(entry, width), t))
-                builder.store(add(known, slope, spread(builder, first)), total)
-            known = builder.load(total)
-            builder.store(known, together(builder, at(y, target)), align=8)
-        return context.get_dummy_value()
-
-    return signature, generate
-
-
-def _places(context: Any, builder: Any, kinds: Any, arrays: Any) -> list[Any]:
-    """Where the data of arrays begin."""
-    return [
-        context.make_array(kind)(context, builder, array).data
-        for kind, array in zip(kinds, arrays, strict=True)
-    ]
 
 
 @compiled_loop
@@ -176,47 +26,20 @@ def _react(
     state: np.ndarray,
     past: np.ndarray,
     applied: float,
-    room: _Room,
+    given: np.ndarray,
     out: np.ndarray,
 ) -> None:
     """Torque, acceleration and rates of the internal states, shape (2 + n_internal, width)."""
-    first, (n, width), n_past = machine.theta.size, state.shape, past.shape[0]
+    first, n, n_past = machine.theta.size, state.shape[0], past.shape[0]
     for j in range(n):
-        room.given[first + j] = state[j, 0]
-        for t in range(1, width):
-            room.moved[j, t] = state[j, t]
+        given[first + j] = state[j, 0]
     for j in range(n_past):
-        room.given[first + n + j] = past[j, 0]
-        for t in range(1, width):
-            room.moved[n + j, t] = past[j, t]
-    room.given[first + n + n_past] = applied
-    _run(machine.moving, room.given, room.moved, out)
+        given[first + n + j] = past[j, 0]
+    given[first + n + n_past] = applied
+    run(machine.moving, given, state, past, out)
 
 
-@compiled_loop
-def _over_inertia(machine: Machine, torque: float, out: np.ndarray) -> None:
-    """Add the acceleration by a torque [Nm], with its derivative."""
-    out[0] += torque / machine.theta[2]
-    if machine.inertia:
-        out[machine.inertia] -= torque / machine.theta[2] ** 2
-
-
-@compiled_loop
-def _linear_part(machine: Machine, angle: bool) -> np.ndarray:
-    """Derivatives at rest of the rates of the state by the state."""
-    n, width = machine.rest.shape[1:]
-    out = np.zeros((n, n, width))
-    first = 2 if angle else 0
-    for i in range(max(first, 1), n):
-        for j in range(first, n):
-            for t in range(width):
-                out[i, j, t] = machine.rest[i, j, t]
-    if not angle:
-        out[0, 1, 0] = 1.0
-    return out
-
-
-class _Scheme(NamedTuple):
+class Scheme(NamedTuple):
     """An exponential Runge-Kutta scheme: how stages follow from each other.
 
     With f the rates at the points so far and p how far these are from the start, the next point is
@@ -240,7 +63,7 @@ class _Scheme(NamedTuple):
 
 
 @compiled_loop
-def _set(scheme: _Scheme, stage: int, of: int, matrix: np.ndarray, size: float) -> None:
+def _set(scheme: Scheme, stage: int, of: int, matrix: np.ndarray, size: float) -> None:
     n, width = matrix.shape[0], matrix.shape[2]
     scheme.used[stage, of] = 1
     for i in range(n):
@@ -251,13 +74,14 @@ def _set(scheme: _Scheme, stage: int, of: int, matrix: np.ndarray, size: float) 
 
 
 @compiled_loop
-def _scheme(linear: np.ndarray, step: float, order: int) -> _Scheme:
+def scheme_of(linear: np.ndarray, step: float, order: int) -> Scheme:
+    """The scheme for a linear part, shape (n, n, width), and a step [s]."""
     n, width = linear.shape[0], linear.shape[2]
     whole, product = np.empty_like(linear), np.empty_like(linear)
     added(linear, step, linear, 0.0, whole)
     half, full = phi_functions(whole)
     count = 2 if order == 2 else 4
-    scheme = _Scheme(
+    scheme = Scheme(
         np.zeros(count, np.int64),
         np.zeros((count, 2 * count, n, n)),
         np.zeros((count, 2 * count, n, n, width)),
@@ -359,11 +183,11 @@ def _recall(
         slot = _slot(time / (imposed.interval if imposed.angle else step), place == 2)
         if imposed.angle:
             known = max(0, min(slot, imposed.states.shape[0] - 2))
-            _signal(imposed, known, 0, start)
+            signal(imposed, known, 0, start)
             if slot < 0:
                 angle[0] = start[0]
             else:
-                _signal(imposed, known, imposed.signals.shape[0] - 1, end)
+                signal(imposed, known, imposed.signals.shape[0] - 1, end)
                 _quintic(time / imposed.interval - known, imposed.interval, start, end, motion)
                 angle[0], velocity[0], slope, bend = motion[0], motion[1], motion[1], motion[2]
         elif slot >= index:
@@ -386,7 +210,7 @@ def _recall(
 
 @compiled_loop
 def _equilibrium(
-    machine: Machine, state: np.ndarray, past: np.ndarray, room: _Room, reaction: np.ndarray
+    machine: Machine, state: np.ndarray, past: np.ndarray, given: np.ndarray, reaction: np.ndarray
 ) -> None:
     """Internal states in equilibrium at the angle of a state, by Newton's method from 0."""
     n, width = machine.rest.shape[0] - 2, state.shape[1]
@@ -397,8 +221,8 @@ def _equilibrium(
         for i in range(n):
             for t in range(1, width):
                 state[2 + i, t] = 0.0
-        _react(machine, state, past, 0.0, room, reaction)
-        _run(machine.turning, room.given, room.moved, raw)
+        _react(machine, state, past, 0.0, given, reaction)
+        run(machine.turning, given, state, past, raw)
         for i in range(n):
             for j in range(n):
                 slopes[i, j] = raw[i * n + j, 0]
@@ -414,38 +238,42 @@ def _equilibrium(
 
 @compiled_loop
 def integrated(
-    machine: Machine, imposed: Imposed, substeps: int, order: int, out: np.ndarray
+    machine: Machine,
+    imposed: Imposed,
+    linear: np.ndarray,
+    scheme: Scheme,
+    substeps: int,
+    out: np.ndarray,
 ) -> None:
     """Response in steps, into `out`, shape (n, width)."""
     n, width, n_samples = machine.rest.shape[0], out.shape[1], out.shape[0]
     n_past = 2 * machine.delays.shape[0]
     step = imposed.interval / substeps
     n_steps = (n_samples - 1) * substeps
-    linear = _linear_part(machine, imposed.angle)
-    scheme = _scheme(linear, step, order)
     n_stages = scheme.places.size
+    order = 2 if n_stages == 2 else 4
     # Those of an imposed angle need no steps where there are no states.
     idle = imposed.angle and n == 2
     first = 2 if imposed.angle else 0
     history = np.zeros((n_steps if n_past and not imposed.angle else 0, 6, width))
     pasts, before = np.zeros((3, n_past, width)), np.zeros((n_past, width))
-    room = _Room(np.zeros(machine.theta.size + n + n_past + 1), np.zeros((n + n_past, width)))
+    given = np.zeros(machine.theta.size + n + n_past + 1)
     for j in range(machine.theta.size):
-        room.given[j] = machine.theta[j]
+        given[j] = machine.theta[j]
     reaction = np.zeros((n, width))
     points, away = np.zeros((n_stages + 1, n, width)), np.zeros((n_stages + 1, n, width))
-    every = np.zeros((n_stages + 1, n, width))
+    every, nothing = np.zeros((n_stages + 1, n, width)), np.zeros((n, width))
     applied = np.zeros(imposed.signals.shape[1])
     if imposed.angle:
-        _signal(imposed, 0, 0, applied)
+        signal(imposed, 0, 0, applied)
         points[0, 0, 0] = applied[0]
-        _equilibrium(machine, points[0], pasts[0], room, reaction)
+        _equilibrium(machine, points[0], pasts[0], given, reaction)
     for index in range(n_steps + 1):
         sample, within = index // substeps, 2 * (index % substeps)
         if index == n_steps and not imposed.angle:
             break
         if not within and not imposed.angle and imposed.impulses[sample] != 0.0:
-            _over_inertia(machine, imposed.impulses[sample], points[0, 1])
+            over_inertia(machine, imposed.impulses[sample], points[0, 1])
         # The two-stage scheme takes the end of one step for the start of the next, where no impulse
         # made the motion jump.
         carried = order == 2 and not imposed.angle
@@ -462,38 +290,32 @@ def integrated(
             if k == n_stages and (order == 2 or not n_past or imposed.angle):
                 break
             point = points[k]
-            _signal(imposed, sample, within + place, applied)
+            signal(imposed, sample, within + place, applied)
             if imposed.angle:
                 for i in range(2):
                     for t in range(width):
                         point[i, t] = 0.0
                     point[i, 0] = applied[i]
             rates = every[k]
-            _react(machine, point, pasts[place], applied[0], room, rates)
+            _react(machine, point, pasts[place], applied[0], given, rates)
             if imposed.angle and k == 0 and not within:
-                for t in range(width):
-                    out[sample, t] = rates[0, t]
+                copy_row(rates, 0, out, sample)
                 out[sample, 0] += machine.theta[2] * applied[2]
-                if machine.inertia:
-                    out[sample, machine.inertia] += applied[2]
+                if machine.lanes[2]:
+                    out[sample, machine.lanes[2]] += applied[2]
                 if idle or index == n_steps:
                     break
-            for t in range(width):
-                rates[0, t] = point[1, t]
+            copy_row(point, 1, rates, 0)
             if k == n_stages:
                 break
-            for i in range(first, n):
-                for t in range(width):
-                    away[k + 1, i, t] = 0.0
+            base = nothing
             for j in range(2 * n_stages):
                 if scheme.used[k, j]:
                     source = every[j] if j < n_stages else away[j - n_stages]
-                    _add_product(
-                        scheme.parts[k, j], scheme.slopes[k, j], source, away[k + 1], first
-                    )
-            for i in range(first, n):
-                for t in range(width):
-                    points[k + 1, i, t] = points[0, i, t] + away[k + 1, i, t]
+                    part, slope = scheme.parts[k, j], scheme.slopes[k, j]
+                    add_product(base, part, slope, source, away[k + 1], first)
+                    base = away[k + 1]
+            add_rows(points[0], away[k + 1], points[k + 1], first)
         if idle or index == n_steps:
             continue
         arrived = points[n_stages]
@@ -515,86 +337,6 @@ def integrated(
                     history[index, 3 + i, t] = arrived[i, t]
                 history[index, 2, t] = every[0, 1, t]
                 history[index, 5, t] = every[n_stages, 1, t]
-        for i in range(n):
-            for t in range(width):
-                points[0, i, t] = arrived[i, t]
+        add_rows(nothing, arrived, points[0], 0)
         if not imposed.angle:
-            for t in range(width):
-                out[sample + 1, t] = arrived[0, t]
-
-
-@compiled_loop
-def exact(machine: Machine, imposed: Imposed, out: np.ndarray) -> None:
-    """Exact response of a linear model, into `out`, shape (n, width)."""
-    n, m, width = machine.rest.shape[1], imposed.states.shape[1], out.shape[1]
-    linear = _linear_part(machine, imposed.angle)
-    joined = np.zeros((n + m, n + m, width))
-    for i in range(n):
-        for j in range(n):
-            for t in range(width):
-                joined[i, j, t] = imposed.interval * linear[i, j, t]
-    for j in range(m):
-        for i in range(m):
-            joined[n + i, n + j, 0] = imposed.interval * imposed.generator[i, j]
-        if not imposed.angle:
-            _over_inertia(machine, imposed.interval * imposed.signals[0, 0, j], joined[1, n + j])
-        else:
-            for i in range(2, n):
-                for s in range(2):
-                    for t in range(width):
-                        joined[i, n + j, t] += (
-                            imposed.interval * machine.rest[i, s, t] * imposed.signals[0, s, j]
-                        )
-    propagator = exponential(joined)
-    onward, slopes = np.zeros((n + m, n + m)), np.zeros((n + m, n + m, width))
-    for i in range(n + m):
-        for j in range(n + m):
-            onward[i, j] = propagator[i, j, 0]
-            for t in range(1, width):
-                slopes[i, j, t] = propagator[i, j, t]
-    state, moved = np.zeros((n + m, width)), np.zeros((n + m, width))
-    signals = np.zeros(imposed.signals.shape[1])
-    if imposed.angle and n > 2:
-        # In equilibrium at the first angle.
-        _signal(imposed, 0, 0, signals)
-        angle = signals[0]
-        system, right = np.zeros((n - 2, n - 2)), np.zeros((n - 2, width))
-        for turn in range(2):
-            for i in range(n - 2):
-                for j in range(n - 2):
-                    system[i, j] = machine.rest[2 + i, 2 + j, 0]
-                for t in range(width):
-                    right[i, t] = -machine.rest[2 + i, 0, t] * angle
-                    if t and turn:
-                        for j in range(n - 2):
-                            right[i, t] -= machine.rest[2 + i, 2 + j, t] * state[2 + j, 0]
-            solved(system, right)
-            for i in range(n - 2):
-                for t in range(width):
-                    state[2 + i, t] = right[i, t]
-    for k in range(out.shape[0]):
-        for j in range(m):
-            state[n + j, 0] = imposed.states[k, j]
-        if imposed.angle:
-            _signal(imposed, k, 0, signals)
-            for t in range(width):
-                out[k, t] = machine.rest[0, 0, t] * signals[0] + machine.rest[0, 1, t] * signals[1]
-                for j in range(2, n):
-                    out[k, t] += machine.rest[0, j, 0] * state[j, t]
-                    if t:
-                        out[k, t] += machine.rest[0, j, t] * state[j, 0]
-            out[k, 0] += machine.theta[2] * signals[2]
-            if machine.inertia:
-                out[k, machine.inertia] += signals[2]
-        else:
-            if imposed.impulses[k] != 0.0:
-                _over_inertia(machine, imposed.impulses[k], state[1])
-            for t in range(width):
-                out[k, t] = state[0, t]
-        for i in range(n + m):
-            for t in range(width):
-                moved[i, t] = 0.0
-        _add_product(onward, slopes, state, moved, 2 if imposed.angle else 0)
-        for i in range(n):
-            for t in range(width):
-                state[i, t] = moved[i, t]
+            copy_row(arrived, 0, out, sample + 1)

@@ -1,0 +1,173 @@
+"""The exact response of a linear model, see `response`, with first derivatives, see `moving`."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from identifiability.joint.native.calls import add_forced, add_product, copy_row
+from identifiability.joint.native.duals import exponential, solved
+from identifiability.joint.native.moving import Imposed, Machine, linear_part, over_inertia
+from identifiability.loops import compiled_loop
+
+
+class Propagator(NamedTuple):
+    """From one sample to the next.
+
+    Attributes
+    ----------
+    onward : array, shape (n, n)
+        Of the state.
+    slopes : array, shape (n, n, width)
+        Its derivatives; 0 in the place of the value.
+    forced : array, shape (n, m, width)
+        What it becomes by what generates the imposed signal.
+    """
+
+    onward: np.ndarray
+    slopes: np.ndarray
+    forced: np.ndarray
+
+
+@compiled_loop
+def propagator_of(machine: Machine, imposed: Imposed) -> Propagator:
+    """How a model and what drives it go from one sample to the next."""
+    n, m, width = machine.rest.shape[1], imposed.states.shape[1], machine.rest.shape[2]
+    wide = 1 if machine.alone else width
+    linear = linear_part(machine, imposed.angle)
+    joined = np.zeros((n + m, n + m, wide))
+    for i in range(n):
+        for j in range(n):
+            for t in range(wide):
+                joined[i, j, t] = imposed.interval * linear[i, j, t]
+    push = np.zeros(width)
+    for j in range(m):
+        for i in range(m):
+            joined[n + i, n + j, 0] = imposed.interval * imposed.generator[i, j]
+        if not imposed.angle:
+            for t in range(width):
+                push[t] = 0.0
+            over_inertia(machine, imposed.interval * imposed.signals[0, 0, j], push)
+            for t in range(wide):
+                joined[1, n + j, t] += push[t]
+        else:
+            for i in range(2, n):
+                for s in range(2):
+                    for t in range(wide):
+                        joined[i, n + j, t] += (
+                            imposed.interval * machine.rest[i, s, t] * imposed.signals[0, s, j]
+                        )
+    moved = exponential(joined)
+    found = Propagator(np.zeros((n, n)), np.zeros((n, n, width)), np.zeros((n, m, width)))
+    for i in range(n):
+        for j in range(n):
+            found.onward[i, j] = moved[i, j, 0]
+            for t in range(1, wide):
+                found.slopes[i, j, t] = moved[i, j, t]
+        for j in range(m):
+            for t in range(wide):
+                found.forced[i, j, t] = moved[i, n + j, t]
+    return found
+
+
+@compiled_loop
+def _settled(machine: Machine, angle: float, state: np.ndarray) -> None:
+    """Internal states in equilibrium at an angle, into a state."""
+    n, width = machine.rest.shape[1], machine.rest.shape[2]
+    system, right = np.zeros((n - 2, n - 2)), np.zeros((n - 2, width))
+    for turn in range(2):
+        for i in range(n - 2):
+            for j in range(n - 2):
+                system[i, j] = machine.rest[2 + i, 2 + j, 0]
+            for t in range(width):
+                right[i, t] = -machine.rest[2 + i, 0, t] * angle
+                if t and turn:
+                    for j in range(n - 2):
+                        right[i, t] -= machine.rest[2 + i, 2 + j, t] * state[2 + j, 0]
+        solved(system, right)
+        for i in range(n - 2):
+            for t in range(width):
+                state[2 + i, t] = right[i, t]
+
+
+@compiled_loop
+def exact(machine: Machine, imposed: Imposed, by: Propagator, out: np.ndarray) -> None:
+    """Exact response of a linear model, into `out`, shape (n, width)."""
+    if machine.alone:
+        _values(machine, imposed, by, out)
+        return
+    n, width, rest = machine.rest.shape[1], out.shape[1], machine.rest
+    state, moved, nothing = np.zeros((n, width)), np.zeros((n, width)), np.zeros((n, width))
+    first = 2 if imposed.angle else 0
+    if imposed.angle and n > 2:
+        _settled(machine, imposed.given[0, 0], state)
+    for k in range(out.shape[0]):
+        if imposed.angle:
+            angle, velocity = imposed.given[k, 0], imposed.given[k, 1]
+            acceleration = imposed.given[k, 2]
+            for t in range(width):
+                out[k, t] = rest[0, 0, t] * angle + rest[0, 1, t] * velocity
+                for j in range(2, n):
+                    out[k, t] += rest[0, j, 0] * state[j, t]
+                    if t:
+                        out[k, t] += rest[0, j, t] * state[j, 0]
+            out[k, 0] += machine.theta[2] * acceleration
+            if machine.lanes[2]:
+                out[k, machine.lanes[2]] += acceleration
+        else:
+            if imposed.impulses[k] != 0.0:
+                over_inertia(machine, imposed.impulses[k], state[1])
+            copy_row(state, 0, out, k)
+        add_product(nothing, by.onward, by.slopes, state, moved, first)
+        add_forced(by.forced, imposed.states[k], moved, first)
+        state, moved = moved, state
+
+
+@compiled_loop
+def _values(machine: Machine, imposed: Imposed, by: Propagator, out: np.ndarray) -> None:
+    """The same without derivatives."""
+    if machine.rest.shape[1] == 2 and not imposed.angle:
+        _of_two(imposed, by, 1.0 / machine.theta[2], out)
+        return
+    n, m, rest = machine.rest.shape[1], imposed.states.shape[1], machine.rest
+    state, moved = np.zeros(n), np.zeros(n)
+    first = 2 if imposed.angle else 0
+    if imposed.angle and n > 2:
+        begin = np.zeros((n, rest.shape[2]))
+        _settled(machine, imposed.given[0, 0], begin)
+        for i in range(2, n):
+            state[i] = begin[i, 0]
+    for k in range(out.shape[0]):
+        if imposed.angle:
+            value = rest[0, 0, 0] * imposed.given[k, 0] + rest[0, 1, 0] * imposed.given[k, 1]
+            for j in range(2, n):
+                value += rest[0, j, 0] * state[j]
+            out[k, 0] = value + machine.theta[2] * imposed.given[k, 2]
+        else:
+            if imposed.impulses[k] != 0.0:
+                state[1] += imposed.impulses[k] / machine.theta[2]
+            out[k, 0] = state[0]
+        for i in range(first, n):
+            value = 0.0
+            for j in range(first, n):
+                value += by.onward[i, j] * state[j]
+            for j in range(m):
+                value += by.forced[i, j, 0] * imposed.states[k, j]
+            moved[i] = value
+        state, moved = moved, state
+
+
+@compiled_loop
+def _of_two(imposed: Imposed, by: Propagator, mobility: float, out: np.ndarray) -> None:
+    """The same of a joint without internal states: most of what studies compute."""
+    angle = velocity = 0.0
+    a, b, c, d = by.onward[0, 0], by.onward[0, 1], by.onward[1, 0], by.onward[1, 1]
+    m = imposed.states.shape[1]
+    for k in range(out.shape[0]):
+        velocity += imposed.impulses[k] * mobility
+        out[k, 0] = angle
+        angle, velocity = a * angle + b * velocity, c * angle + d * velocity
+        for j in range(m):
+            angle += by.forced[0, j, 0] * imposed.states[k, j]
+            velocity += by.forced[1, j, 0] * imposed.states[k, j]

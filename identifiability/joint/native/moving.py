@@ -1,0 +1,101 @@
+"""A model at one parameter vector and what moves it, for compiled loops.
+
+Arrays of what depends on parameters have the value and then each derivative along the last axis,
+whose length is a multiple of four.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from identifiability.loops import compiled_loop
+
+
+class Machine(NamedTuple):
+    """A model at one parameter vector.
+
+    Attributes
+    ----------
+    moving, turning : int
+        Addresses of its code, see `Kernel`.
+    theta : array, shape (n_parameters,)
+    lanes : array of int, shape (n_parameters,)
+        Which derivative is that by each parameter, from 1; 0 if none.
+    alone : bool
+        Whether there are no derivatives.
+    rest : array, shape (2 + n_internal, 2 + n_internal, width)
+        Derivatives at rest of torque, acceleration and internal states' rates by angle, velocity
+        and internal states.
+    delays : array, shape (n_delays, width)
+        In s.
+    """
+
+    moving: int
+    turning: int
+    theta: np.ndarray
+    lanes: np.ndarray
+    alone: bool
+    rest: np.ndarray
+    delays: np.ndarray
+
+
+class Imposed(NamedTuple):
+    """An imposed signal, as it is within steps.
+
+    Attributes
+    ----------
+    interval : float
+    angle : bool
+        Whether it is an angle.
+    given : array, shape (n, q)
+        The torque, or angle, velocity and acceleration, at the samples.
+    states : array, shape (n, m)
+        Of what generates it, at the samples.
+    signals : array, shape (2 * substeps + 1, q, m)
+        What makes of them what is `given`, at start and middle of every step of an interval, and
+        at its end.
+    generator : array, shape (m, m)
+    impulses : array, shape (n,)
+    """
+
+    interval: float
+    angle: bool
+    given: np.ndarray
+    states: np.ndarray
+    signals: np.ndarray
+    generator: np.ndarray
+    impulses: np.ndarray
+
+
+@compiled_loop
+def signal(imposed: Imposed, sample: int, place: int, out: np.ndarray) -> None:
+    """What is imposed, shape (q,), at a place in the interval from a sample on."""
+    for i in range(out.size):
+        out[i] = 0.0
+        for j in range(imposed.states.shape[1]):
+            out[i] += imposed.signals[place, i, j] * imposed.states[sample, j]
+
+
+@compiled_loop
+def over_inertia(machine: Machine, torque: float, out: np.ndarray) -> None:
+    """Add the acceleration by a torque [Nm], with its derivative."""
+    out[0] += torque / machine.theta[2]
+    if machine.lanes[2]:
+        out[machine.lanes[2]] -= torque / machine.theta[2] ** 2
+
+
+@compiled_loop
+def linear_part(machine: Machine, angle: bool) -> np.ndarray:
+    """Derivatives at rest of the rates of the state by the state."""
+    n, width = machine.rest.shape[1:]
+    out = np.zeros((n, n, width))
+    first = 2 if angle else 0
+    for i in range(max(first, 1), n):
+        for j in range(first, n):
+            for t in range(width):
+                out[i, j, t] = machine.rest[i, j, t]
+    if not angle:
+        out[0, 1, 0] = 1.0
+    return out
