@@ -5,7 +5,7 @@ from .inference.archive import to_datatree, write_netcdf
 from .inference.consistency import Consistency, Disagreement, Reading, consistency
 from .inference.curvature import Curvature, curvature, largest_change
 from .inference.fitting import Fit, fit, fit_simplex
-from .inference.likelihood.coloured import Colour, ColourArrays
+from .inference.likelihood.coloured import Colour
 from .inference.likelihood.estimate import NoiseEstimate
 from .inference.likelihood.processes import Process, ProcessSum, Whitening
 from .inference.noisy import NoisyFit
@@ -227,7 +227,6 @@ __all__ = [  # noqa: RUF022 -- in the order of use
     "ProcessSum",
     "Whitening",
     "Colour",
-    "ColourArrays",
     "write_netcdf",
     "MSM",
     "Setting",

@@ -6,9 +6,10 @@ import scipy.linalg
 from kinds import BUMP, TIME, values_of
 from oracles import agree
 
-from identifiability.inference import evaluation, problem
+from identifiability.inference import evaluation
 from identifiability.inference.conditional import conditional_optima, one_by_one
 from identifiability.inference.problem import Prior, Problem, observe
+from identifiability.joint import response
 from identifiability.joint.effects import EFFECTS
 from identifiability.joint.model import KBI
 from identifiability.joint.native.duals import exponential
@@ -73,7 +74,7 @@ def test_they_are_those_of_jax(team, driven, monkeypatch):
     one, points = problem_of(team, driven), None
     points = nearby(one, 3)
     found = one.log_likelihood(points), one.residuals(points[0]), one.jacobian(points[0])
-    monkeypatch.setattr(problem, "responses_of", lambda *_: None)
+    monkeypatch.setattr(response, "responses_of", lambda *_: None)
     other = problem_of(team, driven)
     assert other.solved(points, np.ones(points.shape[1], bool)) is None
     np.testing.assert_allclose(found[0], other.log_likelihood(points), rtol=1e-9)
@@ -112,6 +113,7 @@ def test_threads_share_the_points(monkeypatch):
     points = nearby(one, 41)
     together = one.log_likelihood(points)
     monkeypatch.setattr(evaluation, "THREADS", 3)
+    monkeypatch.setattr(evaluation, "_WORTH_THREADS", 0)
     np.testing.assert_array_equal(one.log_likelihood(points), together)
 
 

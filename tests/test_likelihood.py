@@ -3,7 +3,6 @@
 from dataclasses import replace
 from types import SimpleNamespace
 
-import jax
 import numpy as np
 import pytest
 import scipy.linalg
@@ -65,48 +64,59 @@ def test_a_long_record_is_whitened_as_a_short_one_would_be():
     )
 
 
-def test_compiled_whitening_is_that_of_the_covariance():
+STRETCHES = [[np.arange(5, 45), np.arange(50, 80)], [np.arange(60)]]
+
+
+def whitened(colour, residual, joint):
+    """What is left of two trials of 90 samples, with derivatives by K, B and I."""
+    nothing = np.zeros(90)
+    fields = ("measured", "scale", "carry", "constant")
+    one = SimpleNamespace(**dict.fromkeys(fields, nothing), previous=nothing.astype(int))
+    what = evaluation.compared([one, one], [one.previous] * 2, 0, (0, 0), colour)
+    what = what._replace(columns=residual.shape[2])
+    found = np.zeros((what.n_rows, what.columns))
+    products, flat = np.zeros((what.columns,) * 2), residual.reshape(180, -1)
+    evaluation._compare(flat, what, joint, np.array([1, 2, 3]), found, products)
+    np.testing.assert_allclose(products, found.T @ found, rtol=1e-12)
+    return found
+
+
+def test_residuals_of_trials_are_whitened_by_the_covariance():
     noise = NoiseEstimate(OWN, CARRIED, np.array([1.0, 2.0]), 1.0, 1, True)
-    stretches = [[np.arange(5, 45), np.arange(50, 80)], [np.arange(60)]]
-    colour = coloured.Colour([noise], [0, 0], [0, 1], stretches, None, np.ones(3))
-    residual = np.random.default_rng(2).standard_normal((2, 90))
-    found = np.asarray(coloured.whitened(residual, np.ones(3), colour.arrays()))
-    found = found.reshape(2, 2, 60)
+    colour = coloured.Colour([noise], [0, 0], [0, 1], STRETCHES, None, np.ones(3))
+    residual = np.random.default_rng(2).standard_normal((2, 90, 4))
+    found, done = whitened(colour, residual, np.ones(3)), 0
     for row, level in enumerate((1.0, 2.0)):
-        for i, samples in enumerate(stretches[row]):
+        for samples in STRETCHES[row]:
             factor = np.linalg.cholesky(spectral_covariance(samples.size, OWN, CARRIED))
             white = np.linalg.solve(factor, residual[row, samples]) / level
             constant = np.linalg.solve(factor, np.ones(samples.size))
             constant /= np.linalg.norm(constant)
-            expected = white - constant * (constant @ white)
-            np.testing.assert_allclose(found[row, i, : samples.size], expected, atol=1e-8)
-            assert not found[row, i, samples.size :].any()
+            expected = white - np.outer(constant, constant @ white)
+            np.testing.assert_allclose(found[done : done + samples.size], expected, atol=1e-8)
+            done += samples.size
+    assert done == len(found)
 
 
 @pytest.mark.parametrize("ceiling", [1.0, 0.1], ids=["left", "nothing left"])
-def test_both_whitenings_and_their_derivatives_agree(ceiling):
+def test_noise_of_the_angle_is_taken_off_with_its_derivatives(ceiling):
     random = np.random.default_rng(3)
     noise = NoiseEstimate(OWN, CARRIED, np.array([1.0, 2.0]), 1.0, 1, True)
-    stretches = [[np.arange(5, 45), np.arange(50, 80)], [np.arange(60)]]
     excess, joint = np.diag([1.0, 2.0, 3.0]) + 0.2, np.array([1.0, 0.5, 0.2])
-    colour = coloured.Colour([noise], [0, 0], [0, 1], stretches, excess, ceiling * joint)
-    residual, slope = random.standard_normal((2, 90)), random.standard_normal((2, 90, 3))
+    colour = coloured.Colour([noise], [0, 0], [0, 1], STRETCHES, excess, ceiling * joint)
+    both = random.standard_normal((2, 90, 4))
 
     def moved(by):
-        return coloured.whitened(residual + slope @ by, joint + by, colour.arrays())
+        at = both.copy()
+        at[:, :, 0] += both[:, :, 1:] @ by
+        return whitened(colour, at, joint + by)
 
-    there = np.append(np.asarray(colour.arrays().weight).ravel() > 0, True)
-    expected = [np.asarray(f(np.zeros(3)))[there] for f in (moved, jax.jacfwd(moved))]
-    nothing = np.zeros(90)
-    fields = ("measured", "scale", "carry", "constant")
-    one = SimpleNamespace(**dict.fromkeys(fields, nothing), previous=nothing.astype(int))
-    what = evaluation.compared([one, one], [one.previous] * 2, 0, (0, 0), colour)._replace(
-        columns=4
-    )
-    both = np.concatenate([residual[..., None], slope], axis=2).reshape(180, 4)
-    found = np.zeros((what.n_rows, 4))
-    evaluation._coloured(both, what, joint, np.array([1, 2, 3]), found)
-    np.testing.assert_allclose(found, np.column_stack(expected), rtol=1e-9, atol=1e-9)
+    found, left = moved(np.zeros(3)), 4 * ceiling**2 * joint @ excess @ joint
+    left = max(left - joint @ excess @ joint, 1e-6 * left)
+    assert found[-1, 0] == pytest.approx(np.sqrt(left), rel=1e-12)
+    for i, step in enumerate(1e-5 * np.eye(3)):
+        expected = (moved(step)[:, 0] - moved(-step)[:, 0]) / 2e-5
+        np.testing.assert_allclose(found[:, 1 + i], expected, rtol=1e-6, atol=1e-7)
 
 
 def restricted_cost(values, stretches, carried):

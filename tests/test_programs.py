@@ -7,10 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from identifiability.inference.problem import Program
 from identifiability.joint import programs
 from identifiability.joint.effects import EFFECTS
 from identifiability.joint.model import KBI
+from identifiability.joint.response import Program
 from identifiability.joint.traced import Traced
 
 

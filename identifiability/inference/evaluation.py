@@ -1,12 +1,12 @@
 """Whitened residuals, likelihoods and conditional optima by machine code, for many points.
 
 `Problem` puts together what is compared; the loops here ask the joint for its responses at one
-point after the other. What `likelihood.coloured` and `Observation` say of whitening, they do.
+point after the other, and whiten what they leave as `Observation` or `likelihood.coloured` say.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 from typing import NamedTuple, Protocol
@@ -20,11 +20,13 @@ from identifiability.joint.native.duals import solved
 from identifiability.joint.native.responding import respond
 from identifiability.joint.native.response import Responses
 from identifiability.joint.programs import THREADS
+from identifiability.joint.response import Traced
 from identifiability.loops import compiled_loop
 
 _ITERATIONS = 72
 _CONVERGED = 1e-7  # predicted decrease of the cost, in units of log likelihood
-_WORTH_A_THREAD = 8  # points
+# Samples, in those of an exact response, from which on threads are worth their start.
+_WORTH_THREADS, _INTEGRATED, _DESCENDED = 200_000, 20, 10
 
 
 class Compared(NamedTuple):
@@ -55,7 +57,7 @@ class Compared(NamedTuple):
         Sizes of both without the padding.
     excess : array, shape (3, 3)
     ceiling : float
-        See `coloured.whitened`; the latter is 0 where nothing is taken off.
+        See `Colour`; the latter is 0 where nothing is taken off.
     """
 
     measured: np.ndarray
@@ -178,18 +180,20 @@ class Evaluation:
 
     Attributes
     ----------
-    responses : Responses
+    responses : Responses or Traced
     compared : Compared
     template : array, shape (n_parameters,)
         Parameter vector in which the free ones are filled in.
     free : array of int, shape (n_free,)
     lanes : array of int, shape (n_parameters,)
         Which derivative is that by each parameter, from 1; 0 if none.
+    native : bool
+        Whether machine code gives the responses.
     """
 
     def __init__(
         self,
-        responses: Responses,
+        responses: Responses | Traced,
         compared: Compared,
         template: np.ndarray,
         free: Sequence[int],
@@ -197,19 +201,28 @@ class Evaluation:
         self.responses = responses
         self.compared = compared._replace(columns=responses.columns)
         self.template, self.free = template, np.array(free, np.int64)
-        self.lanes = responses.lanes
+        self.lanes, self.native = responses.lanes, isinstance(responses, Responses)
 
     def whitened(self, x: np.ndarray) -> np.ndarray:
         """Whitened residuals, then their derivatives, shape (n_rows, width)."""
         white = np.zeros((self.compared.n_rows, self.compared.columns))
+        if not self.native:
+            theta = self.template.copy()
+            theta[self.free] = x
+            self._products_of(np.concatenate(self.responses.at(theta)), theta, white)
+            return white
         self._over(np.asarray(x, float)[None], white)
         return white
 
     def log_likelihood(self, points: np.ndarray) -> np.ndarray:
         """Minus half the sum of squares at each point, shape (n_points,)."""
-        _, grams = self._over(points)
-        values = -0.5 * grams[:, 0, 0]
-        return np.where(np.isnan(values), -np.inf, values)
+        if isinstance(self.responses, Traced):
+            thetas = np.tile(self.template, (len(points), 1))
+            thetas[:, self.free] = points
+            every = zip(self.responses.values(thetas), thetas, strict=True)
+            squares = [self._products_of(y[:, None], theta)[0, 0] for y, theta in every]
+            return -0.5 * np.array(squares)
+        return -0.5 * self._over(points)[1][:, 0, 0]
 
     def optima(
         self, points: np.ndarray, moves: np.ndarray, lower: np.ndarray, upper: np.ndarray
@@ -232,6 +245,17 @@ class Evaluation:
         found, grams = self._over(points, None, _ITERATIONS, moves, lower, upper)
         return found, grams
 
+    def _products_of(
+        self, response: np.ndarray, theta: np.ndarray, white: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Inner products of the whitened residuals of a response, which are kept in `white`."""
+        columns = self.compared.columns
+        if white is None:
+            white = np.zeros((self.compared.n_rows, columns))
+        found = np.zeros((columns, columns))
+        _compare(np.ascontiguousarray(response), self.compared, theta, self.lanes, white, found)
+        return found
+
     def _over(
         self,
         points: np.ndarray,
@@ -241,6 +265,8 @@ class Evaluation:
         lower: np.ndarray | None = None,
         upper: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
+        assert isinstance(self.responses, Responses)
+        plan = self.responses.plan
         found, k = np.array(points, float, order="C"), len(self.free)
         columns = self.compared.columns
         grams = np.zeros((len(found), columns, columns))
@@ -252,7 +278,7 @@ class Evaluation:
         def some(a: int, b: int) -> None:
             _evaluate(
                 respond.address,
-                self.responses.plan,
+                plan,
                 self.lanes,
                 self.template,
                 self.free,
@@ -267,19 +293,17 @@ class Evaluation:
                 kept,
             )
 
-        in_threads(some, len(found))
+        work = len(found) * self.compared.measured.size * (_DESCENDED if iterations else 1)
+        if not self.responses.exact:
+            work *= _INTEGRATED
+        if work < _WORTH_THREADS or len(found) < THREADS:
+            some(0, len(found))
+            return found, grams
+        ends = np.linspace(0, len(found), THREADS + 1).astype(int)
+        with ThreadPoolExecutor(THREADS) as pool:
+            for part in [pool.submit(some, int(a), int(b)) for a, b in pairwise(ends)]:
+                part.result()
         return found, grams
-
-
-def in_threads(work: Callable[[int, int], None], n: int) -> None:
-    """Do a work on ranges of n points, in threads where there are many."""
-    if n < _WORTH_A_THREAD or THREADS == 1:
-        work(0, n)
-        return
-    ends = np.linspace(0, n, THREADS + 1).astype(int)
-    with ThreadPoolExecutor(THREADS) as pool:
-        for done in [pool.submit(work, int(a), int(b)) for a, b in pairwise(ends)]:
-            done.result()
 
 
 @compiled_loop
@@ -384,10 +408,23 @@ def _products(
     white: np.ndarray,
     out: np.ndarray,
 ) -> None:
-    """Inner products of whitened residuals and their derivatives; infinite where they are none."""
+    """Inner products of whitened residuals and their derivatives at a point."""
     for i in range(free.size):
         theta[free[i]] = x[i]
     run(address, plan, theta, response, response)
+    _compare(response, what, theta, lanes, white, out)
+
+
+@compiled_loop
+def _compare(
+    response: np.ndarray,
+    what: Compared,
+    theta: np.ndarray,
+    lanes: np.ndarray,
+    white: np.ndarray,
+    out: np.ndarray,
+) -> None:
+    """Whiten what a response leaves; its inner products, infinite where they are none."""
     if len(what.stretches) > 1:
         _coloured(response, what, theta, lanes, white)
     else:

@@ -10,30 +10,23 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from threading import local
-from typing import NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
-from jax import Array
-from jax.typing import ArrayLike
 
 from identifiability.errors import InputError
 from identifiability.inference.evaluation import Compared, Evaluation, compared
-from identifiability.inference.likelihood import coloured
-from identifiability.inference.likelihood.coloured import Colour, ColourArrays
-from identifiability.joint.instruments import readings_of
-from identifiability.joint.integrator import integrate
+from identifiability.inference.likelihood.coloured import Colour
 from identifiability.joint.model import Model
-from identifiability.joint.native.response import responses_of
-from identifiability.joint.programs import compiled, make_room
-from identifiability.joint.response import exact_response
+from identifiability.joint.programs import make_room
+from identifiability.joint.response import responses_by
 from identifiability.joint.scheme import Scheme
 from identifiability.measurement.noise import Noise
 from identifiability.measurement.perturbations import Drive
 
-_BATCH = 32  # points that JAX computes at once, where machine code does not know the model
-_DIFFERENCE = 1e-3  # step of differences, in slice widths
+_DIFFERENCE, _SHARE = 1e-2, 1e-2  # step of differences: in slice widths, at most of the value
+# Places of differences of fourth order, in steps, and their shares times 12.
+_CENTRAL = (-2, -1, 1, 2), (1, -8, 8, -1)
+_FORWARD = (0, 1, 2, 3, 4), (-25, 48, -36, 16, -3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -147,66 +140,6 @@ def observe(
     )
 
 
-class Data(NamedTuple):
-    """Observations stacked for compiled functions, padded to the longest; leading axis: trials.
-
-    The interval is a single one where all trials share it; so are the integration steps in it.
-    """
-
-    interval: Array
-    substeps: Array
-    generator: Array
-    readout: Array
-    states: Array
-    impulses: Array
-    measured: Array
-    scale: Array
-    carry: Array
-    previous: Array
-    constant: Array
-    segment: Array
-    offsets: Array
-    colour: ColourArrays | None
-
-
-def _stack(
-    observations: Sequence[Observation],
-    substeps: int,
-    room: tuple[int, int],
-    colour: Colour | None,
-) -> Data:
-    drives = [o.drive for o in observations]
-    rows = max(len(drives), room[0])
-    longest = max(room[1], *(len(d.states) for d in drives))
-
-    def padded(arrays: Sequence[np.ndarray]) -> np.ndarray:
-        stacked = np.zeros((rows, longest, *arrays[0].shape[1:]), arrays[0].dtype)
-        for row, array in zip(stacked, arrays, strict=False):
-            row[: len(array)] = array
-        return stacked
-
-    firsts, used = _segments(observations)
-    # Their number is padded too, to compile less often.
-    n_offsets = 0 if used == 0 else 1 << (used - 1).bit_length()
-    arrays = (
-        _common([d.interval for d in drives], rows),
-        np.array(substeps),
-        drives[0].generator,
-        drives[0].readout,
-        padded([d.states for d in drives]),
-        padded([d.impulses for d in drives]),
-        padded([o.measured for o in observations]),
-        padded([o.scale for o in observations]),
-        padded([o.carry for o in observations]),
-        padded([o.previous for o in observations]),
-        padded([o.constant for o in observations]),
-        padded([o.segment + first for o, first in zip(observations, firsts, strict=True)]),
-        np.zeros(n_offsets),
-    )
-    arranged = None if colour is None else colour.arrays()
-    return Data._make([*(jnp.asarray(array) for array in arrays), arranged])
-
-
 def _segments(observations: Sequence[Observation]) -> tuple[list[int], int]:
     """Number of each observation's first segment, all counted in one row; and of all of them."""
     firsts: list[int] = []
@@ -215,13 +148,6 @@ def _segments(observations: Sequence[Observation]) -> tuple[list[int], int]:
         firsts.append(firsts[-1] if o.continues else used)
         used = max(used, firsts[-1] + o.n_offsets)
     return firsts, used
-
-
-def _common(intervals: Sequence[float], rows: int) -> np.ndarray:
-    """One sampling interval where all are equal: steps then fall together, which is much faster."""
-    if np.ptp(intervals) <= 1e-9 * intervals[0]:
-        return np.array(intervals[0])
-    return np.resize(intervals, rows)
 
 
 @dataclass(frozen=True, eq=False)
@@ -274,20 +200,6 @@ class Prior:
 _ANY_JOINT = {"K": (0.0, 1e5), "B": (0.0, 1e4), "I": (1e-7, 1e3)}
 
 
-class Program(NamedTuple):
-    """What a compiled function is specialised to; everything else is data.
-
-    The order of the scheme is 0 where the response is exact. The history of a delayed model has
-    room for so many steps a sample. Instruments read the response so often in a sampling interval.
-    """
-
-    model: Model
-    free: tuple[int, ...]
-    order: int = 0
-    history: int = 0
-    readings: int = 1
-
-
 @dataclass(frozen=True, eq=False)
 class Problem:
     """Posterior of the free parameters of a model, given measurements.
@@ -305,11 +217,7 @@ class Problem:
         the steps that its parameters, where they are fixed at these values and else at nominal
         ones, ask for.
     room : tuple of int
-        Least number of observations and of samples that the data are padded to: problems of one
-        shape share their compiled programs.
-    exact_hessian : bool
-        Whether second derivatives are automatic, or differences of the (automatic) first ones, for
-        models whose second derivatives take long to compile.
+        Least number of observations and of samples that residuals are padded to.
     colour : Colour, optional
         Noise that whitens the residuals in the place of that of the observations.
     """
@@ -320,10 +228,9 @@ class Problem:
     fixed: Mapping[str, float] = field(default_factory=dict)
     scheme: Scheme | None = None
     room: tuple[int, int] = (0, 0)
-    exact_hessian: bool = True
     colour: Colour | None = None
     _last: local = field(default_factory=local, init=False, repr=False)
-    _evaluations: dict[tuple[int, ...], Evaluation | None] = field(
+    _evaluations: dict[tuple[int, ...], Evaluation] = field(
         default_factory=dict, init=False, repr=False
     )
 
@@ -344,7 +251,7 @@ class Problem:
         """How the response is computed."""
         return self.scheme or self.suited(self.template)
 
-    def suited(self, theta: ArrayLike) -> Scheme:
+    def suited(self, theta: np.ndarray) -> Scheme:
         """Scheme that a full parameter vector of the model asks for at these observations."""
         imposed = self.observations[0].drive.imposed
         return Scheme.for_model(self.model, theta, self.interval, imposed)
@@ -388,21 +295,10 @@ class Problem:
             template[self.model.parameter_names.index(name)] = value
         return template
 
-    @cached_property
-    def program(self) -> Program:
-        """What compiled functions are specialised to."""
-        scheme, readings = self.integration, readings_of(self.model, self.interval)
-        if scheme.exact:
-            return Program(self.model, self.free, readings=readings)
-        # Room for half the step too, by which the scheme is checked.
-        history = scheme.halved.between(readings) if self.model.delayed else 0
-        return Program(self.model, self.free, scheme.order, history, readings)
-
-    @cached_property
-    def data(self) -> Data:
-        """The observations, as compiled functions take them."""
-        steps = self.integration.between(self.program.readings)
-        return _stack(self.observations, steps, self.room, self.colour)
+    @property
+    def longest(self) -> int:
+        """Samples of the longest observation, or the room for them."""
+        return max(self.room[1], *(o.measured.size for o in self.observations))
 
     def with_prior(self, prior: Prior) -> Problem:
         """Return the same problem with another prior."""
@@ -410,18 +306,11 @@ class Problem:
 
     def with_scheme(self, scheme: Scheme) -> Problem:
         """Return the same problem with its response computed in another way."""
-        other = replace(self, scheme=scheme)
-        if "data" in self.__dict__:
-            steps = scheme.between(self.program.readings)
-            stacked = self.data._replace(substeps=jnp.asarray(steps))
-            other.__dict__["data"] = stacked  # all but the steps, as it would be put together anew
-        return other
+        return replace(self, scheme=scheme)
 
     def halved(self) -> Problem:
-        """Return the same problem in steps half as long, computed by the same compiled programs."""
-        other = self.with_scheme(self.integration.halved)
-        other.__dict__["program"] = self.program
-        return other
+        """Return the same problem in steps half as long."""
+        return self.with_scheme(self.integration.halved)
 
     def solver_error(self, x: np.ndarray) -> float:
         """Error of the integration at a point, from what half the step changes.
@@ -478,10 +367,8 @@ class Problem:
 
     def responses(self, x: np.ndarray) -> list[np.ndarray]:
         """Model response of each observation, at all its samples."""
-        if (evaluation := self._evaluation(())) is not None:
-            return [found[:, 0] for found in evaluation.responses.at(self.complete(x))]
-        stacked = np.asarray(_responses(self.program, x, self.template, self.data))
-        return [y[: o.measured.size] for y, o in zip(stacked, self.observations, strict=False)]
+        found = self._evaluation(()).responses.at(self.complete(x))
+        return [response[:, 0] for response in found]
 
     def by_observation(self, values: np.ndarray) -> np.ndarray:
         """Residuals, differences of such, or Jacobians, with a leading axis of observations."""
@@ -499,13 +386,8 @@ class Problem:
         # Optimisers ask for both at the same point, one after the other: compute them together.
         x, last = np.asarray(x, float), self._last
         if not hasattr(last, "x") or not np.array_equal(last.x, x):
-            if (evaluation := self._evaluation(self.free)) is not None:
-                white = evaluation.whitened(x)
-                last.both = white[:, 0].copy(), white[:, 1:].copy()
-            else:
-                both = _linearised(self.program, x, self.template, self.data)
-                last.both = np.asarray(both[0]), np.asarray(both[1])
-            last.x = x.copy()
+            white = self._evaluation(self.free).whitened(x)
+            last.x, last.both = x.copy(), (white[:, 0].copy(), white[:, 1:].copy())
         found: tuple[np.ndarray, np.ndarray] = last.both
         return found
 
@@ -518,20 +400,19 @@ class Problem:
             None of a model that machine code does not know.
         """
         evaluation = self._evaluation(self.free)
-        if evaluation is None:
+        if not evaluation.native:
             return None
         return evaluation.optima(points, moves, self.lower, self.upper)
 
-    def _evaluation(self, free: tuple[int, ...]) -> Evaluation | None:
-        """The likelihood by machine code, with derivatives by all free parameters or none."""
+    def _evaluation(self, free: tuple[int, ...]) -> Evaluation:
+        """The likelihood, with derivatives by all free parameters or none."""
         if free not in self._evaluations:
-            drives = [o.drive for o in self.observations]
-            responses = responses_of(self.model, free, drives, self.integration)
-            self._evaluations[free] = (
-                None
-                if responses is None
-                else Evaluation(responses, self._compared, self.template, self.free)
-            )
+            drives, scheme = [o.drive for o in self.observations], self.integration
+            # Room for half the step too, by which the scheme is checked.
+            finer = None if scheme.exact else scheme.halved
+            responses = responses_by(self.model, free, drives, scheme, finer)
+            found = Evaluation(responses, self._compared, self.template, self.free)
+            self._evaluations[free] = found
         return self._evaluations[free]
 
     @cached_property
@@ -541,21 +422,29 @@ class Problem:
         return compared(self.observations, segments, used, self.room, self.colour)
 
     def hessian(self, x: np.ndarray) -> np.ndarray:
-        """Second derivatives of the negative log likelihood, shape (n_free, n_free)."""
-        if self.exact_hessian:
-            return np.asarray(_hessian(self.program, x, self.template, self.data))
+        """Second derivatives of the negative log likelihood, shape (n_free, n_free).
+
+        Differences of fourth order of its exact gradient.
+        """
         x = np.asarray(x, float)
-        jacobian = self.jacobian(x)
-        steps = _DIFFERENCE / np.maximum(np.linalg.norm(jacobian, axis=0), 1e-12)
+        steps = _DIFFERENCE / np.maximum(np.linalg.norm(self.jacobian(x), axis=0), 1e-12)
+        # Where the data say little of a parameter; an inertia stays above 0.
+        size = np.where(self.lower > 0, 0.0, np.abs(self.model.nominal[list(self.free)]))
+        most = _SHARE * np.maximum(np.abs(x), size)
+        steps = np.where(most > 0, np.minimum(steps, most), steps)
 
         def gradient(at: np.ndarray) -> np.ndarray:
             residuals, jacobian = self._linearise(at)
             return jacobian.T @ residuals
 
-        rows = [
-            (gradient(x + step * unit) - gradient(x - step * unit)) / (2 * step)
-            for step, unit in zip(steps, np.eye(x.size), strict=True)
-        ]
+        rows = []
+        for i, unit in enumerate(steps * np.eye(x.size)):
+            room = (x[i] - self.lower[i]) / steps[i], (self.upper[i] - x[i]) / steps[i]
+            # Beyond a bound there may be no joint: from there on inwards.
+            at, shares = _CENTRAL if min(room) >= 2 else _FORWARD
+            turn = -1 if at is _FORWARD[0] and room[0] > room[1] else 1
+            change = sum(w * gradient(x + turn * k * unit) for k, w in zip(at, shares, strict=True))
+            rows.append(turn * change / (12 * steps[i]))
         return 0.5 * (np.array(rows) + np.array(rows).T)
 
     def log_likelihood(self, points: np.ndarray) -> np.ndarray:
@@ -570,18 +459,7 @@ class Problem:
         array, shape (n_points,)
             Minus infinity where the response overflows.
         """
-        points = np.asarray(points, float)
-        if (evaluation := self._evaluation(())) is not None:
-            return evaluation.log_likelihood(points)
-
-        found = [np.empty(0)]
-        for first in range(0, len(points), _BATCH):
-            chunk = points[first : first + _BATCH]
-            # Of one size, so that one program serves any number of points.
-            padded = np.resize(chunk, (_BATCH, points.shape[1]))
-            values = _log_likelihoods(self.program, padded, self.template, self.data)
-            found.append(np.asarray(values)[: len(chunk)])
-        return np.concatenate(found)
+        return self._evaluation(()).log_likelihood(np.asarray(points, float))
 
     def log_posterior(self, points: np.ndarray) -> np.ndarray:
         """Log likelihood inside the prior's bounds, minus infinity outside; shape (n_points,)."""
@@ -590,70 +468,3 @@ class Problem:
         # Points outside are moved inside for the batch to keep its size, then discarded.
         safe = np.clip(points, self.lower, self.upper)
         return np.where(inside, self.log_likelihood(safe), -np.inf)
-
-
-def _whole(program: Program, x: ArrayLike, template: ArrayLike) -> Array:
-    return jnp.asarray(template).at[jnp.array(program.free)].set(jnp.asarray(x))
-
-
-def _stacked_responses(program: Program, x: ArrayLike, template: ArrayLike, data: Data) -> Array:
-    theta = _whole(program, x, template)
-
-    def respond(interval: Array, states: Array, impulses: Array) -> Array:
-        arrays = (interval, data.generator, data.readout, states, impulses)
-        if not program.order:
-            return exact_response(program.model, theta, arrays, program.readings)
-        return integrate(
-            program.model,
-            theta,
-            arrays,
-            data.substeps,
-            program.order,
-            program.history,
-            program.readings,
-        )
-
-    along = (None if jnp.ndim(data.interval) == 0 else 0, 0, 0)
-    return jax.vmap(respond, along)(data.interval, data.states, data.impulses)
-
-
-def whitened(program: Program, x: ArrayLike, template: ArrayLike, data: Data) -> Array:
-    """Whitened residuals of all observations in one row, traceable."""
-    residual = _stacked_responses(program, x, template, data) - data.measured
-    if data.colour is not None:
-        return coloured.whitened(residual, _whole(program, x, template), data.colour)
-    before = jnp.take_along_axis(residual, jnp.asarray(data.previous), axis=1)
-    white = data.scale * (residual - data.carry * before)
-    if data.offsets.size:
-        sums = jnp.asarray(data.offsets).at[data.segment].add(data.constant * white)
-        white = white - data.constant * sums[data.segment]
-    return white.ravel()
-
-
-def _negative_log_likelihood(program: Program, x: Array, template: Array, data: Data) -> Array:
-    white = whitened(program, x, template, data)
-    return 0.5 * white @ white
-
-
-_responses = compiled(_stacked_responses)
-
-
-@compiled
-def _linearised(program: Program, x: Array, template: Array, data: Data) -> tuple[Array, Array]:
-    def twice(point: Array) -> tuple[Array, Array]:
-        white = whitened(program, point, template, data)
-        return white, white
-
-    jacobian, white = jax.jacfwd(twice, has_aux=True)(x)
-    return white, jacobian
-
-
-_hessian = jax.jit(
-    jax.jacfwd(jax.jacfwd(_negative_log_likelihood, argnums=1), argnums=1), static_argnums=0
-)
-
-
-@compiled
-def _log_likelihoods(program: Program, points: Array, template: Array, data: Data) -> Array:
-    values = jax.vmap(lambda x: -_negative_log_likelihood(program, x, template, data))(points)
-    return jnp.where(jnp.isnan(values), -jnp.inf, values)

@@ -166,7 +166,6 @@ def recording_problem(
         prior,
         fixed=plain_values(model, model.effect_keys if refined else ()),
         scheme=scheme,
-        exact_hessian=not model.effects,
     )
 
 

@@ -6,6 +6,7 @@ with three signals is an angle with its derivatives and the response is the torq
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import jax
@@ -20,11 +21,12 @@ from identifiability.joint.exponentials import matrix_exponential
 from identifiability.joint.instruments import DriveArrays, readings_of, recorded
 from identifiability.joint.integrator import integrate
 from identifiability.joint.model import Model
-from identifiability.joint.native.response import responses_of
+from identifiability.joint.native.response import Responses, responses_of
 from identifiability.joint.programs import compiled, make_room
 from identifiability.joint.scheme import EXACT, MOST_SUBSTEPS, Scheme
 from identifiability.measurement.perturbations import Drive
 
+_BATCH = 32  # parameter vectors that JAX computes at once
 _CONVERGED = 1e-7  # E between two responses, of which the finer is taken as converged
 
 
@@ -79,20 +81,10 @@ def _by(
 ) -> np.ndarray:
     """Responses by a scheme, with room for the past of a finer one."""
     scheme.check(model)
-    native = responses_of(model, (), [drive], scheme)
-    if native is not None:
-        found = np.empty((len(thetas), len(drive.states)))
-        for row, theta in zip(found, thetas, strict=True):
-            row[:] = native.at(theta)[0][:, 0]
-        return found
-    readings = readings_of(model, drive.interval)
-    program, substeps = _Program(model, readings=readings), 0
-    if not scheme.exact:
-        substeps = scheme.between(readings)
-        steps = max(substeps, (finer or scheme).between(readings))
-        room = steps if model.delayed else 0
-        program = _Program(model, scheme.order, room, readings)
-    return np.asarray(_batch(program, thetas, drive_arrays(drive), np.array(substeps)))
+    found = responses_by(model, (), [drive], scheme, finer)
+    if isinstance(found, Traced):
+        return found.values(thetas)
+    return np.array([found.at(theta)[0][:, 0] for theta in thetas]).reshape(len(thetas), -1)
 
 
 def _converged(model: Model, thetas: np.ndarray, drive: Drive) -> np.ndarray:
@@ -209,22 +201,124 @@ def _angle_driven_system(model: Model, theta: ArrayLike) -> tuple[Array, Array, 
     return system, feed, read, direct
 
 
-class _Program(NamedTuple):
-    """What a compiled function is specialised to: an order of 0 is the exact response."""
+class Program(NamedTuple):
+    """What a compiled function is specialised to.
+
+    Attributes
+    ----------
+    model : Model
+    free : tuple of int
+        Parameters by which derivatives are wanted.
+    order : int
+        Of the scheme; 0 for the exact response.
+    room : int
+        Steps a sample that the past of a delayed model has room for.
+    readings : int
+        That instruments take in a sampling interval.
+    """
 
     model: Model
+    free: tuple[int, ...] = ()
     order: int = 0
     room: int = 0
     readings: int = 1
 
 
+class Traced:
+    """Responses of a model to some drives as JAX computes them: of one with unusual operations.
+
+    Attributes
+    ----------
+    starts, columns, width, lanes, exact : see `Responses`
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        free: tuple[int, ...],
+        drives: Sequence[Drive],
+        scheme: Scheme,
+        finer: Scheme | None = None,
+    ) -> None:
+        readings = readings_of(model, max(drive.interval for drive in drives))
+        self._program, self._steps = Program(model, free, readings=readings), np.array(0)
+        if not scheme.exact:
+            steps = scheme.between(readings)
+            most = max(steps, (finer or scheme).between(readings))
+            room = most if model.delayed else 0
+            self._program = Program(model, free, scheme.order, room, readings)
+            self._steps = np.array(steps)
+        self._drives = [drive_arrays(drive) for drive in drives]
+        self.starts = np.cumsum([0, *(len(drive.states) for drive in drives)])
+        self.exact, self.columns = scheme.exact, 1 + len(free)
+        self.width = self.columns
+        self.lanes = np.zeros(len(model.parameter_names), np.int64)
+        self.lanes[list(free)] = 1 + np.arange(len(free))
+
+    def at(self, theta: np.ndarray) -> list[np.ndarray]:
+        """Responses and their derivatives, see `Responses.at`."""
+        theta = np.asarray(theta, float)
+        return [
+            np.asarray(_linearised(self._program, theta, drive, self._steps))
+            for drive in self._drives
+        ]
+
+    def values(self, thetas: np.ndarray) -> np.ndarray:
+        """Responses at many parameter vectors, shape (n_thetas, n)."""
+        found = [np.empty((0, self.starts[-1]))]
+        for first in range(0, len(thetas), _BATCH):
+            chunk = thetas[first : first + _BATCH]
+            # Of one size, so that one program serves any number of them.
+            size = _BATCH if len(thetas) > 1 else 1
+            padded = np.resize(chunk, (size, thetas.shape[1]))
+            parts = [_batch(self._program, padded, d, self._steps) for d in self._drives]
+            found.append(np.concatenate(parts, axis=1)[: len(chunk)])
+        return np.concatenate(found)
+
+
+def responses_by(
+    model: Model,
+    free: tuple[int, ...],
+    drives: Sequence[Drive],
+    scheme: Scheme,
+    finer: Scheme | None = None,
+) -> Responses | Traced:
+    """Responses of a model to some drives, by machine code where that knows the model.
+
+    Parameters
+    ----------
+    model : Model
+    free : tuple of int
+        Parameters by which derivatives are wanted.
+    drives : sequence of Drive
+        All of torques, or all of angles.
+    scheme : Scheme
+    finer : Scheme, optional
+        One that is asked for later: programs of JAX then serve both.
+    """
+    native = responses_of(model, free, drives, scheme)
+    return Traced(model, free, drives, scheme, finer) if native is None else native
+
+
+def _respond(program: Program, theta: Array, arrays: DriveArrays, substeps: Array) -> Array:
+    model, _, order, room, readings = program
+    if not order:
+        return exact_response(model, theta, arrays, readings)
+    return integrate(model, theta, arrays, substeps, order, room, readings)
+
+
 @compiled
-def _batch(program: _Program, thetas: Array, arrays: DriveArrays, substeps: Array) -> Array:
-    model, order, room, readings = program
+def _batch(program: Program, thetas: Array, arrays: DriveArrays, substeps: Array) -> Array:
+    return jax.vmap(lambda theta: _respond(program, theta, arrays, substeps))(thetas)
 
-    def respond(theta: Array) -> Array:
-        if not order:
-            return exact_response(model, theta, arrays, readings)
-        return integrate(model, theta, arrays, substeps, order, room, readings)
 
-    return jax.vmap(respond)(thetas)
+@compiled
+def _linearised(program: Program, theta: Array, arrays: DriveArrays, substeps: Array) -> Array:
+    def along(direction: Array) -> tuple[Array, Array]:
+        return jax.jvp(lambda x: _respond(program, x, arrays, substeps), (theta,), (direction,))
+
+    if not program.free:
+        return _respond(program, theta, arrays, substeps)[:, None]
+    directions = jnp.eye(len(theta))[jnp.array(program.free)]
+    value, slopes = jax.vmap(along, out_axes=(None, 1))(directions)
+    return jnp.concatenate([value[:, None], slopes], axis=1)

@@ -82,7 +82,7 @@ class Refits:
     @cached_property
     def _places(self) -> list[tuple[np.ndarray, float]]:
         """Where a trial's samples are among the problem's residuals, and their weight's scale."""
-        split, width = self.bench.split, self._problem.data.measured.shape[1]
+        split, width = self.bench.split, self._problem.longest
         sds = split.weights_sd(split.fitted)
         found = places(self._problem.observations, width)
         return [(at, float(sd)) for at, sd in zip(found, sds, strict=True)]

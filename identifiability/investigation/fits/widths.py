@@ -39,7 +39,7 @@ def parameter_widths(bench: Workbench, candidate: Candidate, *, seed: int = 1) -
         replace(o, scale=o.scale * sharpened[i])
         for o, i in zip(problem.observations, owners(problem.observations), strict=True)
     ]
-    sharper = replace(problem, observations=observations, exact_hessian=False)
+    sharper = replace(problem, observations=observations)
     start = problem.free_vector(candidate.values)
     sharper = sharper.with_scheme(_scheme_about(sharper, start))
     return widths(sharper, starts=start[None], seed=seed, referee=False, quick=True)

@@ -31,6 +31,8 @@ class Responses:
         Where in these rows the response to each drive begins, and where the last one ends.
     lanes : array of int, shape (n_parameters,)
         Which derivative is that by each parameter, from 1; 0 if none.
+    exact : bool
+        Whether it takes no steps.
     """
 
     def __init__(
@@ -51,6 +53,7 @@ class Responses:
         counts = [0, *(len(drive.states) for drive in drives)]
         self.starts, self.width = np.cumsum(counts), kernel.width
         self.columns = 1 + len(free)
+        self.exact = scheme.exact
         self._kernel = kernel  # whose code is called as long as this lives
         numbers = {
             "moving": kernel.moving.address,
