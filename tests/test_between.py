@@ -57,7 +57,7 @@ def test_the_error_at_corners_is_of_the_size_that_is_expected(every):
     fitted, held = sampled(every, noise=1e-7)
     band = band_of(fitted, held)
     problem = band.problem(KBI())
-    rows = problem.residuals(problem.free_vector(JOINT)).reshape(2 * len(fitted + held), -1, 1)
+    rows = problem.by_observation(problem.residuals(problem.free_vector(JOINT))[:, None])
     for row, variance in zip(band.stretches(rows), band.between(KBI_OF), strict=True):
         error, sd = row[:, 0] - np.median(row), np.sqrt(variance)
         assert np.max(np.abs(error)) < 3 * sd.max()

@@ -72,7 +72,7 @@ def whitened(colour, residual, joint):
     nothing = np.zeros(90)
     fields = ("measured", "scale", "carry", "constant")
     one = SimpleNamespace(**dict.fromkeys(fields, nothing), previous=nothing.astype(int))
-    what = evaluation.compared([one, one], [one.previous] * 2, 0, (0, 0), colour)
+    what = evaluation.compared([one, one], [one.previous] * 2, 0, colour)
     what = what._replace(columns=residual.shape[2])
     found = np.zeros((what.n_rows, what.columns))
     products, flat = np.zeros((what.columns,) * 2), residual.reshape(180, -1)

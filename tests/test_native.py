@@ -184,3 +184,14 @@ def test_every_effect_has_machine_code(key):
 def test_a_model_that_would_take_long_to_compile_is_left_to_jax(monkeypatch):
     monkeypatch.setattr(kernel, "_MOST", 3)
     assert kernel_of(KBI() + EFFECTS["gravity"](), (0, 1, 4)) is None
+
+
+def test_few_kernels_are_kept(monkeypatch):
+    monkeypatch.setattr(kernel, "_kept", {})
+    monkeypatch.setattr(kernel, "_MOST_KEPT", 2)
+    first = kernel_of(KBI(), (0,))
+    assert kernel_of(KBI(), (0,)) is first
+    kernel_of(KBI(), (1,))
+    assert kernel_of(KBI(), (0,)) is first
+    kernel_of(KBI(), (2,))
+    assert set(kernel._kept) == {(KBI(), (0,)), (KBI(), (2,))}

@@ -534,7 +534,6 @@ def test_of_a_long_record_parts_all_over_it_are_compared(driven):
     band = band_of([Trial(time, torque, angle, driven=driven)], (), lowpass_hz=None)
     assert band.n_recorded == pytest.approx(band.prepared[0].trial.n_samples / band.every, rel=0.01)
     assert 8_192 / 1.5 < band.n_samples < 1.5 * 8_192
-    assert band.room[0] == len(band.observations) * (1 if driven == "torque" else 2)
     response = band.prepared[0].response
     for observation, window, span in zip(band.observations, band.windows, band.spans, strict=True):
         np.testing.assert_array_equal(observation.measured[window], response[span])

@@ -21,7 +21,7 @@ from identifiability.joint.instruments import readings_of
 from identifiability.joint.integrator import integrate
 from identifiability.joint.model import KBI, Imposed, Model
 from identifiability.joint.native.response import responses_of
-from identifiability.joint.programs import quickly_compiled
+from identifiability.joint.programs import compiled
 from identifiability.joint.response import drive_arrays, exact_response
 from identifiability.joint.scheme import Scheme
 from identifiability.measurement.perturbations import Drive, SampledTorque, imposed_motion
@@ -105,7 +105,7 @@ def measure(effects: Sequence[str], imposed: Imposed) -> Row:
     first, each = time.perf_counter() - began, _quickest(lambda: code.at(theta))
 
     # A number that no other run has: nothing of it was compiled before.
-    by_jax = quickly_compiled(partial(_linearised, scheme=scheme, unlike=time.time()))
+    by_jax = compiled(partial(_linearised, scheme=scheme, unlike=time.time()))
     arrays = drive_arrays(drive)
 
     def ask() -> np.ndarray:

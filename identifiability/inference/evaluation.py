@@ -98,7 +98,6 @@ def compared(
     observations: Sequence[Observed],
     segments: Sequence[np.ndarray],
     n_segments: int,
-    room: tuple[int, int],
     colour: Colour | None,
 ) -> Compared:
     """Put together what responses are compared with.
@@ -110,16 +109,14 @@ def compared(
         Segment of each of their samples, counted through.
     n_segments : int
         Of those with an unknown constant.
-    room : tuple of int
-        Least numbers of observations and of samples of each that residuals are padded to.
     colour : Colour or None
         Noise that whitens in the place of that of the observations.
     """
     sizes = [o.measured.size for o in observations]
     starts = np.cumsum([0, *sizes])
-    longest = max(room[1], *sizes)
+    longest = max(sizes)
     rows = [i * longest + np.arange(n) for i, n in enumerate(sizes)]
-    n_rows = max(len(sizes), room[0]) * longest
+    n_rows = len(sizes) * longest
     samples, level, which = [np.empty(0, np.int64)], [], []
     ar, factor, lengths = np.ones((1, 1)), np.ones((1, 1, 1)), np.ones((1, 2), np.int64)
     excess, ceiling = np.zeros((3, 3)), 0.0

@@ -17,7 +17,6 @@ from identifiability.errors import InputError
 from identifiability.inference.evaluation import Compared, Evaluation, compared
 from identifiability.inference.likelihood.coloured import Colour
 from identifiability.joint.model import Model
-from identifiability.joint.programs import make_room
 from identifiability.joint.response import responses_by
 from identifiability.joint.scheme import Scheme
 from identifiability.measurement.noise import Noise
@@ -216,8 +215,6 @@ class Problem:
         How the response is computed. Without it a linear model is solved exactly, and another in
         the steps that its parameters, where they are fixed at these values and else at nominal
         ones, ask for.
-    room : tuple of int
-        Least number of observations and of samples that residuals are padded to.
     colour : Colour, optional
         Noise that whitens the residuals in the place of that of the observations.
     """
@@ -227,7 +224,6 @@ class Problem:
     prior: Prior
     fixed: Mapping[str, float] = field(default_factory=dict)
     scheme: Scheme | None = None
-    room: tuple[int, int] = (0, 0)
     colour: Colour | None = None
     _last: local = field(default_factory=local, init=False, repr=False)
     _evaluations: dict[tuple[int, ...], Evaluation] = field(
@@ -244,7 +240,6 @@ class Problem:
         if len({o.drive.readout.shape for o in self.observations}) != 1:
             raise InputError("the observations must all be driven alike, by torque or by angle")
         self.integration.check(self.model)
-        make_room()
 
     @cached_property
     def integration(self) -> Scheme:
@@ -294,11 +289,6 @@ class Problem:
         for name, value in self.fixed.items():
             template[self.model.parameter_names.index(name)] = value
         return template
-
-    @property
-    def longest(self) -> int:
-        """Samples of the longest observation, or the room for them."""
-        return max(self.room[1], *(o.measured.size for o in self.observations))
 
     def with_prior(self, prior: Prior) -> Problem:
         """Return the same problem with another prior."""
@@ -372,7 +362,7 @@ class Problem:
 
     def by_observation(self, values: np.ndarray) -> np.ndarray:
         """Residuals, differences of such, or Jacobians, with a leading axis of observations."""
-        return values.reshape(max(len(self.observations), self.room[0]), -1, *values.shape[1:])
+        return values.reshape(len(self.observations), -1, *values.shape[1:])
 
     def residuals(self, x: np.ndarray) -> np.ndarray:
         """Whitened residuals, model minus measurement; 0 at samples that are not compared."""
@@ -419,7 +409,7 @@ class Problem:
     def _compared(self) -> Compared:
         firsts, used = _segments(self.observations)
         segments = [o.segment + a for o, a in zip(self.observations, firsts, strict=True)]
-        return compared(self.observations, segments, used, self.room, self.colour)
+        return compared(self.observations, segments, used, self.colour)
 
     def hessian(self, x: np.ndarray) -> np.ndarray:
         """Second derivatives of the negative log likelihood, shape (n_free, n_free).

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.special import gammaln, logsumexp
-from sklearn.mixture import GaussianMixture
 
 _MOST_REDRAWS, _LARGEST_BLOCK = 400, 100_000
 
@@ -141,6 +140,8 @@ def fitted_mixture(
     components : int
     seed : int
     """
+    from sklearn.mixture import GaussianMixture  # half a second, that most problems need not pay
+
     centre, size = points.mean(axis=0), points.std(axis=0)
     mixture = GaussianMixture(components, random_state=seed, reg_covar=1e-6, max_iter=200)
     mixture.fit((points - centre) / size)

@@ -156,7 +156,7 @@ def next_experiment(
     limits = usual_limits(split) if limits is None else limits
     trial = split.fitted[0]
     interval = trial.drive.interval
-    n = min(int(limits.duration / interval) + 1, split.room[1])
+    n = min(int(limits.duration / interval) + 1, split.longest)
     time = interval * np.arange(n)
     noise = _noise(split, final)
     tried = []
@@ -297,7 +297,6 @@ def _distance(
         template.prior,
         fixed=template.fixed,
         scheme=template.scheme,
-        room=template.room,
     )
     start = problem.free_vector(candidate.values)
     return 2 * explore(problem, start[None], evaluations=_EVALUATIONS).cost

@@ -220,7 +220,6 @@ class Investigation:
                 held_out,
                 lowpass_hz=lowpass_hz,
                 bounds=self.bench.bounds,
-                room=self.split.room,
             )
             self._evaluators[seed] = evaluator_of(band, self.baseline.values, seed=seed)
         return self._evaluators[seed]

@@ -15,7 +15,6 @@ import numpy as np
 from identifiability.errors import InputError
 from identifiability.inference.problem import Observation, observe
 from identifiability.investigation.rules import Rules
-from identifiability.joint.programs import roomy
 from identifiability.measurement.filtering import Lowpass
 from identifiability.measurement.noise import Noise
 from identifiability.measurement.prepared import Prepared, prepare
@@ -26,7 +25,6 @@ MOST_SAMPLES = 8_192
 """Samples of one trial or half a record that models are fitted to or judged on."""
 
 _LONGEST, _WARM_UP = 4096, 1.0  # samples of a piece; seconds in which a piece forgets its start
-_ROUND = 64  # lengths are padded to a multiple, so that compiled programs serve many data sets
 
 
 @dataclass(frozen=True, eq=False)
@@ -110,16 +108,10 @@ class Split:
         return out
 
     @cached_property
-    def room(self) -> tuple[int, int]:
-        """Numbers of observations and samples that both parts fit into, together.
-
-        So that what compares all trials shares the compiled programs of what fits some.
-        """
+    def longest(self) -> int:
+        """Samples of the longest observation."""
         every = self.observations(self.fitted) + self.observations(self.held_out)
-        longest = max(o.measured.size for o in every)
-        if self.fitted[0].trial.driven == "angle":
-            return len(every), roomy(longest)
-        return len(every), -(-longest // _ROUND) * _ROUND
+        return max(o.measured.size for o in every)
 
 
 def gather(
@@ -225,21 +217,20 @@ def owners(observations: Sequence[Observation]) -> np.ndarray:
     return np.cumsum([not o.continues for o in observations]) - 1
 
 
-def places(observations: Sequence[Observation], width: int) -> list[np.ndarray]:
+def places(observations: Sequence[Observation]) -> list[np.ndarray]:
     """Where each trial's compared samples are among residuals, its pieces put together.
 
     Parameters
     ----------
     observations : sequence of Observation
         Whole trials, or pieces of them in their order.
-    width : int
-        Number of samples that each observation has room for.
 
     Returns
     -------
     list of array of int
         One a trial.
     """
+    width = max(o.measured.size for o in observations)
     pieces: list[list[np.ndarray]] = []
     for row, observation in enumerate(observations):
         if not observation.continues:

@@ -22,7 +22,7 @@ from identifiability.joint.instruments import DriveArrays, readings_of, recorded
 from identifiability.joint.integrator import integrate
 from identifiability.joint.model import Model
 from identifiability.joint.native.response import Responses, responses_of
-from identifiability.joint.programs import compiled, make_room
+from identifiability.joint.programs import compiled
 from identifiability.joint.scheme import EXACT, MOST_SUBSTEPS, Scheme
 from identifiability.measurement.perturbations import Drive
 
@@ -70,7 +70,6 @@ def simulate(
             f"found parameters of shape {theta.shape}, expected (..., {n_parameters}) for "
             f"{list(model.parameter_names)}"
         )
-    make_room()
     flat = theta.reshape(-1, n_parameters)
     found = _converged(model, flat, drive) if scheme is None else _by(scheme, model, flat, drive)
     return found.reshape(*theta.shape[:-1], -1)

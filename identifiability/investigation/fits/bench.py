@@ -101,7 +101,6 @@ class Workbench:
             self.prior(model),
             fixed=plain_values(model, refined),
             scheme=scheme,
-            room=self.split.room,
         )
 
     def residual(
@@ -124,7 +123,7 @@ class Workbench:
     ) -> Residual:
         white = problem.residuals(problem.free_vector(values))
         white = np.clip(np.nan_to_num(white, nan=_DIVERGED), -_DIVERGED, _DIVERGED)
-        found = places(problem.observations, self.split.room[1])
+        found = places(problem.observations)
         by_trial, errors, weighted = [], [], 0.0
         for ready, sd, at in zip(part, self.split.weights_sd(part), found, strict=True):
             left = white[at]

@@ -82,9 +82,9 @@ class Refits:
     @cached_property
     def _places(self) -> list[tuple[np.ndarray, float]]:
         """Where a trial's samples are among the problem's residuals, and their weight's scale."""
-        split, width = self.bench.split, self._problem.longest
+        split = self.bench.split
         sds = split.weights_sd(split.fitted)
-        found = places(self._problem.observations, width)
+        found = places(self._problem.observations)
         return [(at, float(sd)) for at, sd in zip(found, sds, strict=True)]
 
     def linearised(self, values: np.ndarray) -> tuple[list[np.ndarray], list[np.ndarray]]:

@@ -22,7 +22,6 @@ from identifiability.inference.starts import plain_values
 from identifiability.investigation.posterior import between
 from identifiability.investigation.split import MOST_SAMPLES, owners, pieces
 from identifiability.joint.model import Model
-from identifiability.joint.programs import roomy
 from identifiability.joint.scheme import Scheme
 from identifiability.measurement.filtering import (
     HIGHEST_HZ,
@@ -57,8 +56,6 @@ class Band:
         One sample in so many is compared.
     bounds : mapping of str to (float, float)
         Other bounds than the physical ones, by parameter name.
-    room : tuple of int
-        That the data are padded to: see `Problem`.
     angle_noise : float
         Standard deviation [rad] of the white noise that an imposed angle is known to have.
     step : float
@@ -73,7 +70,6 @@ class Band:
     prepared: tuple[Prepared, ...]
     every: int
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    room: tuple[int, int] = (0, 0)
     angle_noise: float = 0.0
     step: float = 0.0
     changed: tuple[tuple[np.ndarray, ...], ...] = ()
@@ -272,7 +268,6 @@ class Band:
             Prior.recorded(model, **bounds),
             fixed=plain_values(model, refined),
             scheme=scheme,
-            room=self.room,
         )
 
     def stretches(self, rows: np.ndarray) -> list[np.ndarray]:
@@ -286,7 +281,6 @@ def band_of(
     *,
     lowpass_hz: Lowpass = "auto",
     bounds: Mapping[str, tuple[float, float]] | None = None,
-    room: tuple[int, int] = (0, 0),
 ) -> Band:
     """Make the trials of an investigation ready for the likelihood.
 
@@ -299,9 +293,6 @@ def band_of(
         Where the angle is imposed, the frequency [Hz] above which it is noise: see `cutoff`.
     bounds : mapping of str to (float, float), optional
         Other bounds than the physical ones.
-    room : tuple of int
-        That trials of an imposed torque are padded to, which are compared at every sample: so they
-        share the programs of the fits.
 
     Raises
     ------
@@ -314,9 +305,7 @@ def band_of(
         lowpass_hz = noise_cutoff(every, _CLEAR)
     step = max(rounding_step(trial.angle) for trial in recorded)
     if every[0].driven == "torque":
-        band = Band(prepare_whole_band(every), 1, dict(bounds or {}), step=step)
-        n = len(band.observations) if band.n_samples < band.n_recorded else room[0]
-        return replace(band, room=(n, room[1]))
+        return Band(prepare_whole_band(every), 1, dict(bounds or {}), step=step)
     cutoff_hz = cutoff(every, lowpass_hz) or HIGHEST_HZ
     fitted, halved = _moved_by_angles(every, cutoff_hz)
     # What thinning leaves of white noise.
@@ -328,7 +317,7 @@ def band_of(
         tuple(between.changes(fitted, _moved_by_angles(between.left_out(every, i), cutoff_hz)[0]))
         for i in (0, 1)
     )
-    band = Band(
+    return Band(
         fitted,
         1 + halved,
         dict(bounds or {}),
@@ -338,9 +327,6 @@ def band_of(
         recorded=tuple(every),
         cutoff_hz=float(cutoff_hz),
     )
-    longest = max(o.measured.size for o in band.observations)
-    # Room for probes too, in one of few shapes.
-    return replace(band, room=(2 * len(band.observations), roomy(longest)))
 
 
 def _moved_by_angles(

@@ -120,7 +120,7 @@ def _jacobians(bench: Workbench, problem: Problem, candidate: Candidate) -> list
     """Derivatives of each trial's response at the compared samples, pieces put together."""
     split = bench.split
     white = problem.jacobian(problem.free_vector(candidate.values))
-    found = places(problem.observations, split.room[1])
+    found = places(problem.observations)
     return [sd * white[at] for at, sd in zip(found, split.weights_sd(split.fitted), strict=True)]
 
 

@@ -18,7 +18,9 @@ from identifiability.joint.native.tracing import Untraceable, expressions_of
 
 _MOST = 60_000  # expressions, beyond which compiling them takes longer than JAX's loops
 
-_kept: dict[Hashable, Kernel | None] = {}
+_MOST_KEPT = 1000  # kernels, of some 100 kB each
+
+_kept: dict[Hashable, Kernel | None] = {}  # the last that was asked for at the end
 _locks: dict[Hashable, Lock] = {}
 _guard = Lock()
 
@@ -57,7 +59,7 @@ class Kernel:
 
 
 def kernel_of(model: Model, free: tuple[int, ...]) -> Kernel | None:
-    """Code of a model, made once; none of a model that JAX has to compute.
+    """Code of a model, made once and kept; none of a model that JAX has to compute.
 
     Parameters
     ----------
@@ -69,12 +71,21 @@ def kernel_of(model: Model, free: tuple[int, ...]) -> Kernel | None:
     with _guard:
         lock = _locks.setdefault(key, Lock())
     with lock:
-        if key not in _kept:
+        if key in _kept:
+            found = _kept[key]
+        else:
             try:
-                _kept[key] = _made(model, free)
+                found = _made(model, free)
             except Untraceable:
-                _kept[key] = None
-    return _kept[key]
+                found = None
+    with _guard:
+        _kept.pop(key, None)
+        _kept[key] = found
+        while len(_kept) > _MOST_KEPT:
+            oldest = next(iter(_kept))
+            del _kept[oldest]
+            _locks.pop(oldest, None)
+    return found
 
 
 def _wide(free: tuple[int, ...]) -> int:
