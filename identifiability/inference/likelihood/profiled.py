@@ -17,6 +17,8 @@ from identifiability.inference.likelihood.banded import (
 )
 from identifiability.loops import compiled_loop
 
+_DEPENDENT = 1e-13  # share of all products, that lets dependent directions have a root
+
 
 @compiled_loop
 def polynomial(partial: np.ndarray) -> np.ndarray:
@@ -139,17 +141,19 @@ def slopes(values: np.ndarray, left: Residuals, n_free: int, step: float) -> np.
     here, _ = scaled_residuals(values, left)
     if not np.isfinite(here[0]):
         return np.zeros((n_free + 1, n_free))
-    change = np.zeros((here.size, n_free))
+    change = np.zeros((n_free, here.size))
     for i in range(n_free):
         moved = values.copy()
         moved[i] += step if values[i] < 0 else -step
         there, _ = scaled_residuals(moved, left)
         if np.isfinite(there[0]):
-            change[:, i] = (there - here) / (moved[i] - values[i])
+            change[i] = (there - here) / (moved[i] - values[i])
     direction = here / np.sqrt(np.sum(here**2))
     found = np.empty((n_free + 1, n_free))
+    found[0] = change @ direction
     for i in range(n_free):
-        found[0, i] = np.sum(direction * change[:, i])
-        change[:, i] -= found[0, i] * direction
-    found[1:] = np.linalg.qr(change)[1]
+        change[i] -= found[0, i] * direction
+    products = change @ change.T
+    products += np.eye(n_free) * (_DEPENDENT * np.trace(products) + 1e-300)
+    found[1:] = np.linalg.cholesky(products).T
     return found

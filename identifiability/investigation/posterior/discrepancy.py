@@ -244,12 +244,13 @@ class _Beside:
             scale = sizes[self._owner]
             system = inner * np.outer(scale, scale)
             system.flat[:: len(system) + 1] += 1 + 1e-9
-            factor = scipy.linalg.cho_factor(system, lower=True)
-            solved = scipy.linalg.cho_solve(factor, scale * along)
-            covariance = np.diag(scipy.linalg.cho_solve(factor, np.eye(len(system))))
+            factor = np.linalg.cholesky(system)
+            inverse = scipy.linalg.lapack.dtrtri(factor, lower=1)[0]
+            solved = inverse.T @ (inverse @ (scale * along))
+            covariance = np.sum(inverse**2, axis=0)
             mean = scale * solved
             gain = 0.5 * float((scale * along) @ solved)
-            gain -= float(np.sum(np.log(np.diag(factor[0]))))
+            gain -= float(np.sum(np.log(np.diag(factor))))
             wanted = np.empty_like(sizes)
             for i in range(sizes.size):
                 own = self._owner == i
