@@ -2,12 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import hashlib
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
 from typing import Any, TypeVar, cast
 
-from numba import njit
+import numba
 
 F = TypeVar("F", bound=Callable[..., Any])
+
+_PACKAGE = Path(__file__).parent
+_LOOPS = ("loops.py", "inference/evaluation.py", "inference/likelihood/*.py", "joint/native/*.py")
 
 
 def compiled_loop(function: F) -> F:
@@ -15,4 +22,56 @@ def compiled_loop(function: F) -> F:
 
     Other threads run while it does. What is divided by 0 is infinite, or no number.
     """
-    return cast(F, njit(cache=True, nogil=True, error_model="numpy")(function))
+    with _kept() as cache:
+        return cast(F, numba.njit(cache=cache, nogil=True, error_model="numpy")(function))
+
+
+def compiled_address(n_arguments: int) -> Callable[[Callable[..., None]], Any]:
+    """Compile a function at once, to be called at its address, and keep it on disk.
+
+    Parameters
+    ----------
+    n_arguments : int
+        Of addresses that it takes.
+    """
+    kinds = numba.types.void(*[numba.types.voidptr] * n_arguments)
+
+    def compile_(function: Callable[..., None]) -> Any:
+        with _kept() as cache:
+            return numba.cfunc(kinds, cache=cache, error_model="numpy")(function)
+
+    return compile_
+
+
+def stamp(package: Path = _PACKAGE) -> str:
+    """What stands for the sources of all loops.
+
+    Loops are compiled into those that call them, and Numba looks at the file of the caller alone.
+    """
+    sources = sorted(path for pattern in _LOOPS for path in package.glob(pattern))
+    found = hashlib.sha256()
+    for path in sources:
+        found.update(path.read_bytes())
+    return found.hexdigest()[:16]
+
+
+@contextmanager
+def _kept() -> Iterator[bool]:
+    """Have Numba keep what it compiles where other sources find nothing of it."""
+    config: Any = numba.config
+    before = config.CACHE_DIR
+    home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "identifiability"
+    folder = Path(before or home) / "loops" / _STAMP
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError:
+        yield False
+        return
+    config.CACHE_DIR = str(folder)
+    try:
+        yield True
+    finally:
+        config.CACHE_DIR = before
+
+
+_STAMP = stamp()

@@ -1,7 +1,7 @@
 """The responses of a model to imposed signals, as one compiled function.
 
 It is called at its address, from Python and from other compiled loops alike, so that it is
-compiled once. What it needs is put into a row of numbers, the plan: see `Plan`.
+compiled once. What it needs is put into a row of numbers, the plan.
 """
 
 from __future__ import annotations
@@ -9,14 +9,14 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import carray, cfunc, types
+from numba import carray
 
 from identifiability.joint.native.calls import place, run
 from identifiability.joint.native.exact import exact, propagator_of
 from identifiability.joint.native.instruments import record
 from identifiability.joint.native.moving import Imposed, Machine, linear_part
 from identifiability.joint.native.steps import integrated, scheme_of
-from identifiability.loops import compiled_loop
+from identifiability.loops import compiled_address, compiled_loop
 
 NUMBERS = (
     "moving",
@@ -60,6 +60,12 @@ ARRAYS = (
 For each sensor there are the number of its loops and of its first parameter; for each drive, and
 one more, where its readings start.
 """
+
+
+_LANES, _SENSORS, _STARTS, _INTERVALS, _GIVEN, _STATES, _SIGNALS, _GENERATORS, _IMPULSES = range(
+    len(NUMBERS), len(NUMBERS) + len(ARRAYS)
+)
+_LENGTH = len(NUMBERS) + len(ARRAYS)
 
 
 class _Sizes(NamedTuple):
@@ -167,17 +173,18 @@ def _respond(
         done = _into(found, sizes.readings, out, done)
 
 
-@cfunc(types.void(*[types.voidptr] * 4), cache=True, error_model="numpy")
+@compiled_address(4)
 def respond(plan: Any, theta: Any, out: Any, _: Any) -> None:
     """Responses at a parameter vector, to all drives in turn.
 
     Parameters
     ----------
     plan, theta, out
-        Where the data of these arrays begin: `Plan`, shape (n_parameters,), and shape (n, width),
-        in whose rows are the responses and their derivatives.
+        Where the data of these arrays begin: `NUMBERS` and addresses of `ARRAYS`, shape
+        (n_parameters,), and shape (n, width), in whose rows are the responses and their
+        derivatives.
     """
-    numbers = carray(plan, 26, np.int64)
+    numbers = carray(plan, _LENGTH, np.int64)
     sizes = _Sizes(
         numbers[0],
         numbers[1],
@@ -199,21 +206,21 @@ def respond(plan: Any, theta: Any, out: Any, _: Any) -> None:
     )
     k, m, drives = sizes.n_parameters, sizes.n_generating, sizes.n_drives
     places = 2 * max(sizes.substeps, 1) + 1
-    starts = carray(place(numbers[19]), drives + 1, np.int64)
+    starts = carray(place(numbers[_STARTS]), drives + 1, np.int64)
     n = starts[drives]
-    lanes = carray(place(numbers[17]), k, np.int64)
-    sensors = carray(place(numbers[18]), (sizes.n_sensors, 2), np.int64)
-    intervals = carray(place(numbers[20]), drives, np.float64)
-    signals = carray(place(numbers[23]), (drives, places, sizes.n_read, m), np.float64)
-    generators = carray(place(numbers[24]), (drives, m, m), np.float64)
+    lanes = carray(place(numbers[_LANES]), k, np.int64)
+    sensors = carray(place(numbers[_SENSORS]), (sizes.n_sensors, 2), np.int64)
+    intervals = carray(place(numbers[_INTERVALS]), drives, np.float64)
+    signals = carray(place(numbers[_SIGNALS]), (drives, places, sizes.n_read, m), np.float64)
+    generators = carray(place(numbers[_GENERATORS]), (drives, m, m), np.float64)
     every = Imposed(
         intervals[0],
         sizes.angle != 0,
-        carray(place(numbers[21]), (n, sizes.n_read), np.float64),
-        carray(place(numbers[22]), (n, m), np.float64),
+        carray(place(numbers[_GIVEN]), (n, sizes.n_read), np.float64),
+        carray(place(numbers[_STATES]), (n, m), np.float64),
         signals[0],
         generators[0],
-        carray(place(numbers[25]), n, np.float64),
+        carray(place(numbers[_IMPULSES]), n, np.float64),
     )
     _respond(
         sizes,
