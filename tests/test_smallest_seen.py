@@ -106,7 +106,7 @@ DRAWS = 20
 # As they came out. For short-range stiffness, quadratic stiffness and friction a torque of any
 # form, no larger than equations may be wrong by, makes up for the trace in some draws only.
 FAR = {
-    ("coulomb_friction", "torque"): "20 of 20 at the stated size, 7 of 20 at a third",
+    ("coulomb_friction", "torque"): "20 of 20 at the stated size, 6 of 20 at a third",
     ("quadratic_stiffness", "angle"): "20 of 20 at the stated size, 10 of 20 at a third",
     ("sensor_delay", "torque"): "15 of 20 at the stated size, 1 of 20 at a third",
     ("sensor_drift", "torque"): "20 of 20 at the stated size, 6 of 20 at a third",
