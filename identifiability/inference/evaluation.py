@@ -239,8 +239,7 @@ class Evaluation:
         products : array, shape (n_points, 1 + n_free, 1 + n_free)
             Inner products of the whitened residuals and their derivatives there.
         """
-        found, grams = self._over(points, None, _ITERATIONS, moves, lower, upper)
-        return found, grams
+        return self._over(points, None, _ITERATIONS, moves, lower, upper)
 
     def _products_of(
         self, response: np.ndarray, theta: np.ndarray, white: np.ndarray | None = None
@@ -262,8 +261,8 @@ class Evaluation:
         lower: np.ndarray | None = None,
         upper: np.ndarray | None = None,
     ) -> tuple[np.ndarray, np.ndarray]:
-        assert isinstance(self.responses, Responses)
-        plan = self.responses.plan
+        responses = self.responses
+        assert isinstance(responses, Responses)
         found, k = np.array(points, float, order="C"), len(self.free)
         columns = self.compared.columns
         grams = np.zeros((len(found), columns, columns))
@@ -275,12 +274,12 @@ class Evaluation:
         def some(a: int, b: int) -> None:
             _evaluate(
                 respond.address,
-                plan,
+                responses.plan,
                 self.lanes,
                 self.template,
                 self.free,
                 self.compared,
-                self.responses.width,
+                responses.width,
                 may,
                 low,
                 high,
@@ -291,7 +290,7 @@ class Evaluation:
             )
 
         work = len(found) * self.compared.measured.size * (_DESCENDED if iterations else 1)
-        if not self.responses.exact:
+        if not responses.exact:
             work *= _INTEGRATED
         if work < _WORTH_THREADS or len(found) < THREADS:
             some(0, len(found))

@@ -175,7 +175,6 @@ def _noises(
 
 def _with_colour(problem: Problem, colour: Colour, x: np.ndarray) -> tuple[Problem, bool]:
     """The problem with this noise; without its correction where no information would be left."""
-    # Its second derivatives take long to compile, for every length of recording anew.
     weighed = replace(problem, colour=colour)
     if colour.excess is None:
         return weighed, False

@@ -21,7 +21,7 @@ from identifiability.joint.exponentials import matrix_exponential
 from identifiability.joint.instruments import DriveArrays, readings_of, recorded
 from identifiability.joint.integrator import integrate
 from identifiability.joint.model import Model
-from identifiability.joint.native.response import Responses, responses_of
+from identifiability.joint.native.response import Responses, lanes_of, responses_of
 from identifiability.joint.programs import compiled
 from identifiability.joint.scheme import EXACT, MOST_SUBSTEPS, Scheme
 from identifiability.measurement.perturbations import Drive
@@ -228,7 +228,7 @@ class Traced:
 
     Attributes
     ----------
-    starts, columns, width, lanes, exact : see `Responses`
+    starts, columns, lanes : see `Responses`
     """
 
     def __init__(
@@ -249,10 +249,7 @@ class Traced:
             self._steps = np.array(steps)
         self._drives = [drive_arrays(drive) for drive in drives]
         self.starts = np.cumsum([0, *(len(drive.states) for drive in drives)])
-        self.exact, self.columns = scheme.exact, 1 + len(free)
-        self.width = self.columns
-        self.lanes = np.zeros(len(model.parameter_names), np.int64)
-        self.lanes[list(free)] = 1 + np.arange(len(free))
+        self.columns, self.lanes = 1 + len(free), lanes_of(model, free)
 
     def at(self, theta: np.ndarray) -> list[np.ndarray]:
         """Responses and their derivatives, see `Responses.at`."""

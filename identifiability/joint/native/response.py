@@ -42,8 +42,7 @@ class Responses:
         readings = readings_of(model, max(drive.interval for drive in drives))
         substeps = scheme.between(readings)
         every = [_imposed(drive, readings, max(substeps, 1)) for drive in drives]
-        self.lanes = np.zeros(len(model.parameter_names), np.int64)
-        self.lanes[list(free)] = 1 + np.arange(len(free))
+        self.lanes = lanes_of(model, free)
         first = every[0]
         alike = all(
             np.array_equal(one[name], first[name])
@@ -102,6 +101,13 @@ class Responses:
         out = np.zeros((self.starts[-1], self.width))
         respond.ctypes(self.plan.ctypes.data, theta.ctypes.data, out.ctypes.data, None)
         return np.split(out[:, : self.columns], self.starts[1:-1])
+
+
+def lanes_of(model: Model, free: tuple[int, ...]) -> np.ndarray:
+    """Which derivative is that by each parameter, from 1; 0 if none. Shape (n_parameters,)."""
+    lanes = np.zeros(len(model.parameter_names), np.int64)
+    lanes[list(free)] = 1 + np.arange(len(free))
+    return lanes
 
 
 def responses_of(
