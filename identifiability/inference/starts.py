@@ -10,6 +10,7 @@ from scipy import signal
 
 from identifiability.inference.problem import Prior
 from identifiability.joint.model import Model
+from identifiability.joint.parameters import Parameter
 from identifiability.measurement.perturbations import imposed_motion
 from identifiability.measurement.trials import Trial
 
@@ -106,6 +107,24 @@ def refined_values(
                 fresh[name] = p.nominal
         starts.append(fresh)
     return starts
+
+
+def nested_values(model: Model, values: Mapping[str, float]) -> dict[str, float]:
+    """Values by which a model does what a smaller one does: effects that are new have no size.
+
+    Parameters
+    ----------
+    model : Model
+    values : mapping of str to float
+        All parameters of the smaller one.
+    """
+
+    def without(p: Parameter) -> float:
+        if p.plain is not None:
+            return p.plain
+        return p.nominal if p.null is None else min(p.null, p.upper)
+
+    return {n: values[n] if n in values else without(p) for n, p in model.parameters.items()}
 
 
 def plain_values(model: Model, refined: Sequence[str] = ()) -> dict[str, float]:

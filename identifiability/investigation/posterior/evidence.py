@@ -16,6 +16,7 @@ from identifiability.inference.bounds import touching
 from identifiability.inference.fitting import explore, inside
 from identifiability.inference.likelihood.estimate import Contender, Order
 from identifiability.inference.problem import Problem
+from identifiability.inference.starts import nested_values
 from identifiability.investigation.posterior.band import Band
 from identifiability.investigation.posterior.beginnings import Beginnings
 from identifiability.investigation.posterior.laplace import less, log_volume
@@ -32,8 +33,11 @@ from identifiability.joint.scheme import Scheme
 NOISE_SHARE = 0.02
 """Share of the response's energy that is noise, the mean of an exponential prior: more than a few
 percent would be a poor recording. Without it noise of long memory may be the response itself."""
-EVALUATIONS, _ROUNDS = 12, 2
+EVALUATIONS, FURTHER = 12, 40
+"""Evaluations from each start of a fit, and for the best two where that did not suffice."""
+_ROUNDS = 2
 _SOLVER = 1.0  # squared error of the integration, all samples together, over the noise's
+_MISSED = 0.5  # nats by which a model may be less likely than one that it contains
 _CARRIED = 2  # starts that a fit is carried on from
 _DIVERGED = 1e3  # responses that a model may leave, and still be said to have one
 _PLAIN = ((0, 0), (1, 0), (1, 1), (2, 0), (2, 1))  # to which that of a better model may fall
@@ -168,6 +172,7 @@ class Evaluator:
         noise: Weights | None = None,
         least: float = -np.inf,
         resolved: bool = True,
+        nested: Evaluated | None = None,
     ) -> Evaluated:
         """Fit a model and its noise in turn, and take its evidence.
 
@@ -186,6 +191,9 @@ class Evaluator:
             Log evidence below which a model is not fitted any further.
         resolved : bool
             Whether steps are made so short that the evidence does not depend on them.
+        nested : Evaluated, optional
+            A model that this one is more than. Where its likelihood is higher, an optimum was
+            missed, and the fit goes on from there.
 
         Raises
         ------
@@ -206,6 +214,15 @@ class Evaluator:
             if best is None or found.log_evidence > best.log_evidence:
                 best = found
         assert best is not None
+        if nested is not None and best.log_likelihood < nested.log_likelihood - _MISSED:
+            point = problem.free_vector(nested_values(model, nested.values))
+            also = nested.weights.contenders[:1]
+            start = inside(problem, point[None])
+            # In longer steps than the other's it could not be as likely.
+            if nested.scheme.is_finer_than(problem.integration):
+                problem = problem.with_scheme(nested.scheme)
+            found = self.settled(problem, start, nested.weights, refined, also=also, rounds=1)
+            best = max(best, found, key=lambda one: one.log_evidence)
         while resolved and (finer := self._finer(problem, best)) is not None:
             problem = problem.with_scheme(finer)
             best = self.settled(problem, best.x[None], best.weights, refined, least)
@@ -248,6 +265,7 @@ class Evaluator:
         refined: Sequence[str] = (),
         least: float = -np.inf,
         also: Sequence[Contender] = (),
+        rounds: int = _ROUNDS,
     ) -> Evaluated:
         """Model and noise fitted in turn, from given points and noise: see `evaluate`.
 
@@ -256,8 +274,8 @@ class Evaluator:
         among plain orders, at last among all.
         """
         best = None
-        for orders in (*[self.plain] * (_ROUNDS - 1), self.orders):
-            x = self.fitted(problem, points, weights)
+        for orders in (*[self.plain] * (rounds - 1), self.orders):
+            x = self.fitted(problem, points, weights, FURTHER if rounds > 1 else 0)
             points = x[None]
             tried = (*orders, *weights.contenders[:1], *also)
             weights = self.reference.weights(raw_residuals(problem, self.band, x)[0], tried)
@@ -282,10 +300,12 @@ class Evaluator:
         x = self.fitted(begun.problem, begun.points, self.white)
         return self.evaluated(begun.problem, x, self.white)
 
-    def fitted(self, problem: Problem, points: np.ndarray, weights: Weights) -> np.ndarray:
+    def fitted(
+        self, problem: Problem, points: np.ndarray, weights: Weights, further: int = FURTHER
+    ) -> np.ndarray:
         """Best values of the free parameters in known noise, from given points."""
         weighed = Weighed(problem, self.band, weights)
-        return explore(weighed, points, evaluations=EVALUATIONS).values
+        return explore(weighed, points, evaluations=EVALUATIONS, further=further).values
 
     def reweighed(self, found: Evaluated, contender: Contender) -> Evaluated:
         """A model with its noise sought from another's, where that is better.

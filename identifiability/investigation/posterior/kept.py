@@ -50,12 +50,14 @@ class Evaluations:
         noise: Weights | None = None,
         least: float = -np.inf,
         resolved: bool = True,
+        nested: Evaluated | None = None,
     ) -> Evaluated:
         """Evaluate a model, or take it up as it was found: see `Evaluator.evaluate`."""
         path = None
         if self.folder is not None:
             start = None if noise is None else (noise.estimate.levels, noise.contenders)
-            how = (starts, refined, scheme, start, least, resolved)
+            within = None if nested is None else (nested.values, nested.log_likelihood)
+            how = (starts, refined, scheme, start, least, resolved, within)
             path = self.folder / f"{_code()}-{question(self.identity, model, *how)}.npz"
             stored = read_arrays(path)
             if stored is not None:
@@ -68,6 +70,7 @@ class Evaluations:
             noise=noise,
             least=least,
             resolved=resolved,
+            nested=nested,
         )
         if path is not None:
             write_arrays(path, _stored(found))

@@ -27,6 +27,7 @@ _WORTH_REFINING = 3.0  # nats before K, B and I alone
 _BEHIND_SHARE = 0.5
 _NEAR = 12.0  # nats behind the best of its size, within which another set is enlarged too
 _EXCHANGED = 2  # effects up to which each is tried without the one that was found before it
+_BACK = 2  # times that the most probable set is weighed without each of its effects
 _POOR = 0.1  # share of what a set gained, that one effect more gains, if it was a poor picture
 
 
@@ -46,7 +47,8 @@ def weigh(
     and does more than mend equations; so is one that comes near without the effect which does most
     in it: two effects may be taken for a third one and its correction.
     What was added last may be what was missing all along, and what was found before it a poor
-    picture of it: of a pair that leaves much less, both are enlarged. If the most probable set
+    picture of it: of a pair that leaves much less, both are enlarged. The most probable set is
+    weighed without each of its effects as well: no effect is named that was never left out. If the most probable set
     leaves more than an instrument would, or something unknown cannot be excluded, those that leave
     least are weighed as well.
 
@@ -88,10 +90,12 @@ def weigh(
             if found is None or left is None or not search.was_poor(found):
                 break
             search.enlarge(left)
+    search.leave_out()
     posterior = weighing.concluded()
     credible = posterior.credible(weighing.rules.claimed)
     if search.leaves_much() or any(row.effects is None for row in credible):
         search.follow(stepwise(evaluator, weighing.found[()], library, most, progress), most)
+        search.leave_out()
         posterior = weighing.concluded()
     return posterior
 
@@ -103,6 +107,7 @@ class _Search:
     progress: Progress
     enlarged: list[Keys] = field(default_factory=list)
     refined: set[Keys] = field(default_factory=set)
+    reduced: set[Keys] = field(default_factory=set)
     plain: dict[Keys, float] = field(default_factory=dict)
 
     def add(self, what: str, jobs: Sequence[Job]) -> None:
@@ -133,6 +138,38 @@ class _Search:
         self.weighing.take_up(near)
         self._refine(len(keys) + 1)
 
+    def leave_out(self) -> None:
+        """Weigh the most probable set without each of its effects, and so on with the best of these.
+
+        Of a set that was reached by another way, or by values that were poorer, more may be made:
+        what is the best of its size now is enlarged.
+        """
+        found = self.weighing.found
+        for _ in range(_BACK):
+            keys, before = max(found, key=self.weighing.score), set(self.enlarged)
+            while len(keys) > 2 and keys not in self.reduced:
+                self.reduced.add(keys)
+                rests = [tuple(k for k in keys if k != key) for key in keys]
+                self.add(f"{' + '.join(keys)} without one", [self._rest(keys, r) for r in rests])
+                keys = max((r for r in rests if r in found), key=self.weighing.score, default=())
+                if keys and keys == self.best(len(keys)) and keys not in self.enlarged:
+                    self.enlarge(keys)
+            if before == set(self.enlarged):
+                break
+
+    def _rest(self, keys: Keys, rest: Keys) -> Job:
+        """A set without one of its effects, from what is left of its values."""
+        larger = self.weighing.found[keys]
+        model = self.weighing.found[()].model
+        for key in rest:
+            model = model + larger.model.effect(key)
+        starts = [{name: larger.values[name] for name in model.parameter_names}]
+        if rest not in self.weighing.found:
+            joint = {name: larger.values[name] for name in ("K", "B", "I")}
+            starts += starting_values(model, joint, most=_STARTS_BESIDE, wide=True)
+        refined = [key for key in larger.refined if key in model.effect_keys]
+        return Job(model, starts, refined, larger.weights)
+
     def leaves_much(self) -> bool:
         """Whether the most probable set leaves more than the noise of a good recording."""
         weighing = self.weighing
@@ -160,7 +197,7 @@ class _Search:
         model, values = current.model + effect, current.values
         if not current.model.effect_keys:
             starts = starting_values(model, values, wide=True)
-            return Job(model, starts, current.refined, current.weights)
+            return Job(model, starts, current.refined, nested=current)
         starts = starting_values(model, values, most=_STARTS_BESIDE, wide=True)
         shape = {
             name: value
@@ -173,7 +210,7 @@ class _Search:
         # With a second effect the first one may have to take another shape.
         joint = {name: values[name] for name in ("K", "B", "I")}
         starts += starting_values(model, joint, most=_STARTS_BESIDE, wide=True)
-        return Job(model, starts, current.refined, current.weights)
+        return Job(model, starts, current.refined, nested=current)
 
     def _refine(self, size: int) -> None:
         """Free the refining parameters of the best sets of a size."""
@@ -201,7 +238,7 @@ class _Search:
         ]
         starts = refined_values(plain.model, plain.values, free)
         return [
-            Job(plain.model, starts, (*plain.refined, key), plain.weights)
+            Job(plain.model, starts, (*plain.refined, key), nested=plain)
             for key in keys
             if key not in plain.refined and plain.model.effect(key).has_refinement
         ]

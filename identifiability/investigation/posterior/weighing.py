@@ -66,13 +66,16 @@ class Job:
     refined : sequence of str
         Keys of the effects whose refining parameters are free.
     noise : Weights or None
-        Noise to start from: that of the model that this one is more than.
+        Noise to start from.
+    nested : Evaluated or None
+        The model that this one is more than; its noise is started from as well.
     """
 
     model: Model
     starts: Sequence[Mapping[str, float]]
     refined: Sequence[str] = ()
     noise: Weights | None = None
+    nested: Evaluated | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,9 +154,10 @@ class Weighing:
                 job.model,
                 job.starts,
                 refined=job.refined,
-                noise=job.noise,
+                noise=job.nested.weights if job.nested is not None else job.noise,
                 least=best - LOST,
                 resolved=False,
+                nested=job.nested,
             )
 
         for job, found in zip(jobs, _side_by_side(evaluated, jobs), strict=True):
