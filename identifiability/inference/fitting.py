@@ -152,7 +152,12 @@ def fit(problem: Problem, starts: np.ndarray, *, polish: bool = True) -> Fit:
 
 
 def explore(
-    problem: LeastSquares, starts: np.ndarray, *, evaluations: int, further: int = 0
+    problem: LeastSquares,
+    starts: np.ndarray,
+    *,
+    evaluations: int,
+    further: int = 0,
+    ftol: float = 1e-6,
 ) -> Fit:
     """Fit by bounded least squares with a limited number of evaluations from every start.
 
@@ -168,6 +173,9 @@ def explore(
         Most evaluations from one start.
     further : int
         Most evaluations more for each of the best two ends that are no optimum yet.
+    ftol : float
+        Relative change of the cost from which on a fit is at its end; a tenth of it at the ends
+        that are carried on.
 
     Returns
     -------
@@ -201,7 +209,7 @@ def explore(
                 jac=jacobian,
                 bounds=ends,
                 x_scale="jac",
-                ftol=1e-6 * tight,
+                ftol=ftol * tight,
                 xtol=1e-7 * tight,
                 gtol=1e-10,
                 max_nfev=most,

@@ -37,6 +37,7 @@ EVALUATIONS, FURTHER = 12, 40
 """Evaluations from each start of a fit, and for the best two where that did not suffice."""
 _ROUNDS = 2
 _SOLVER = 1.0  # squared error of the integration, all samples together, over the noise's
+_NEAR_END = 0.1  # nats, twice, that a fit's next step would bring where it ends
 _MISSED = 0.5  # nats by which a model may be less likely than one that it contains
 _CARRIED = 2  # starts that a fit is carried on from
 _DIVERGED = 1e3  # responses that a model may leave, and still be said to have one
@@ -305,7 +306,11 @@ class Evaluator:
     ) -> np.ndarray:
         """Best values of the free parameters in known noise, from given points."""
         weighed = Weighed(problem, self.band, weights)
-        return explore(weighed, points, evaluations=EVALUATIONS, further=further).values
+        # To some hundredths of a nat: half of what is left is one for every two samples.
+        ftol = _NEAR_END / max(1, self.band.n_samples)
+        return explore(
+            weighed, points, evaluations=EVALUATIONS, further=further, ftol=ftol
+        ).values
 
     def reweighed(self, found: Evaluated, contender: Contender) -> Evaluated:
         """A model with its noise sought from another's, where that is better.
