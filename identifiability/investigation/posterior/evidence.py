@@ -308,9 +308,7 @@ class Evaluator:
         weighed = Weighed(problem, self.band, weights)
         # To some hundredths of a nat: half of what is left is one for every two samples.
         ftol = _NEAR_END / max(1, self.band.n_samples)
-        return explore(
-            weighed, points, evaluations=EVALUATIONS, further=further, ftol=ftol
-        ).values
+        return explore(weighed, points, evaluations=EVALUATIONS, further=further, ftol=ftol).values
 
     def reweighed(self, found: Evaluated, contender: Contender) -> Evaluated:
         """A model with its noise sought from another's, where that is better.

@@ -48,7 +48,7 @@ def weigh(
     in it: two effects may be taken for a third one and its correction.
     What was added last may be what was missing all along, and what was found before it a poor
     picture of it: of a pair that leaves much less, both are enlarged. The most probable set is
-    weighed without each of its effects as well: no effect is named that was never left out. If the most probable set
+    weighed without each of its effects as well: none is named that was never left out. If that set
     leaves more than an instrument would, or something unknown cannot be excluded, those that leave
     least are weighed as well.
 
@@ -139,7 +139,7 @@ class _Search:
         self._refine(len(keys) + 1)
 
     def leave_out(self) -> None:
-        """Weigh the most probable set without each of its effects, and so on with the best of these.
+        """Weigh the most probable set without each of its effects, then the best of these sets so.
 
         Of a set that was reached by another way, or by values that were poorer, more may be made:
         what is the best of its size now is enlarged.
