@@ -1,5 +1,7 @@
 """Fits reach their optimum: no fit with a parameter held ever beats the one with it free."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -107,3 +109,26 @@ def test_a_delay_is_found_beyond_the_next_ripple():
     gains = gains_when_held(bench, free)
     assert max(gains.values()) < TOLERANCE, gains
     assert free.values["stretch_reflex.delay"] == pytest.approx(true["delay"], abs=2e-3)
+
+
+def moved_by_half_the_step(bench, candidate):
+    """By how many nats the fitted trials are more or less likely in half the step."""
+    problem = bench.problem(
+        candidate.model, bench.split.fitted, refined=candidate.refined, scheme=candidate.scheme
+    )
+    x = problem.free_vector(candidate.values)
+    costs = [float(np.sum(p.residuals(x) ** 2)) for p in (problem, problem.halved())]
+    return abs(0.5 * problem.n_samples * np.log(costs[1] / costs[0]))
+
+
+def test_half_the_step_is_as_likely():
+    """Too long a step leaves ripples in the cost of a model with corners, where fits end."""
+    bench, free = fitted("coulomb_friction", "torque", {"torque": 0.3, "velocity": 0.01})
+    assert moved_by_half_the_step(bench, free) < bench.rules.solver_nats
+    # So sharp a limit is met too, and not because it would be met anyway.
+    moved = {}
+    for limit in (0.02, np.inf):
+        rules = replace(bench.rules, solver_nats=limit)
+        other = Workbench(replace(bench.split, rules=rules))
+        moved[limit] = moved_by_half_the_step(other, other.fit(free.model, [free.values]))
+    assert moved[0.02] < 0.02 < moved[np.inf]

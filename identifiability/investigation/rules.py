@@ -62,6 +62,9 @@ class Rules:
     solver_share : float
         Error of a fit's integration, as E, over that of the noise, from which on the fit is
         repeated with finer steps.
+    solver_nats : float
+        Nats by which half the step may make the fitted trials more or less likely: the cost of a
+        model with corners has ripples of about that size, in which a fit ends.
     solver_most, solver_least : float
         Bounds of what it may be: where the noise is large or unknown, and where there is none.
     trifle : float
@@ -90,6 +93,7 @@ class Rules:
     solver_share: float = scheme.SHARE
     solver_most: float = scheme.MOST
     solver_least: float = scheme.LEAST
+    solver_nats: float = 0.5
     trifle: float = 3e-3
     equations: float = 0.1
     most_effects: int = 4

@@ -175,8 +175,8 @@ class Workbench:
                 best = explore(problem, points, evaluations=THOROUGH, further=FURTHER)
                 best = delays_profiled(problem, best, evaluations=THOROUGH)
                 reached = _distinct(model, problem, best)
-                parts, moved = self._checked(problem, reached[0])
-                wanted = self._wanted(problem, moved)
+                parts, moved, nats = self._checked(problem, reached[0])
+                wanted = self._wanted(problem, moved, nats)
                 if not wanted.is_finer_than(problem.integration):
                     break
             else:
@@ -186,8 +186,8 @@ class Workbench:
                 # A fit on its way may have asked for more than its end needs.
                 coarser = problem.with_scheme(asked)
                 less = self._checked(coarser, reached[0])
-                if less[1] <= self._tolerance:
-                    problem, (parts, moved) = coarser, less
+                if less[1] <= self._tolerance and less[2] <= self.rules.solver_nats:
+                    problem, (parts, moved, _) = coarser, less
             fitted, held_out = parts
             if fitted.weighted >= _DIVERGED:
                 raise InputError("the best response found is not finite")
@@ -220,13 +220,14 @@ class Workbench:
 
     def _checked(
         self, problem: Problem, values: Mapping[str, float]
-    ) -> tuple[tuple[Residual, Residual], float]:
-        """What values leave of the fitted and held-out trials, and the error E of the solver.
+    ) -> tuple[tuple[Residual, Residual], float, float]:
+        """What values leave of the fitted and held-out trials, and the error of the solver.
 
-        The error follows from what half the step changes, in the part where that is more.
+        As an error E, which follows from what half the step changes, in the part where that is
+        more; and by how many nats half the step makes the fitted trials more or less likely.
         """
         split, refined = self.split, _refined(problem)
-        left, errors = [], [0.0]
+        left, errors, nats = [], [0.0], 0.0
         for part in (split.fitted, split.held_out):
             if not part:
                 left.append(NOTHING)
@@ -243,10 +244,13 @@ class Workbench:
                     for a, b, ready in zip(left[-1].by_trial, halved.by_trial, part, strict=True)
                 ]
                 errors.append(float(np.mean(change)) / here.integration.shown)
-        return (left[0], left[1]), max(errors)
+                if part is split.fitted:
+                    ratio = halved.weighted / max(left[0].weighted, 1e-300)
+                    nats = abs(0.5 * left[0].n_samples * float(np.log(max(ratio, 1e-300))))
+        return (left[0], left[1]), max(errors), nats
 
-    def _wanted(self, problem: Problem, error: float) -> Scheme:
-        """Scheme that a fit asks for, by the error of the one that it was made with.
+    def _wanted(self, problem: Problem, error: float, nats: float) -> Scheme:
+        """Scheme that a fit asks for, by the errors of the one that it was made with.
 
         Raises
         ------
@@ -255,11 +259,12 @@ class Workbench:
         """
         scheme = problem.integration
         # What overflows is a failure of another kind.
-        if not np.isfinite(error) or error <= self._tolerance:
+        too_large = max(error / self._tolerance, (nats / self.rules.solver_nats) ** 2)
+        if not np.isfinite(too_large) or too_large <= 1:
             return scheme
         if scheme.finest:
             raise InputError(_too_fast(problem))
-        return scheme.improved(error / self._tolerance)
+        return scheme.improved(too_large)
 
     @property
     def _tolerance(self) -> float:
