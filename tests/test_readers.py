@@ -491,6 +491,78 @@ def save(request, tmp_path):
     return saved
 
 
+HEADED = {"time": ("time", "s"), "angle": ("knee", "deg"), "torque": ("knee_moment", "Nm")}
+
+
+def opensim(*lines, name="inverse dynamics"):
+    head = [name, "version=1", f"nRows={TIME.size}", "nColumns=3", *lines, "endheader"]
+    columns = (TIME, TORQUE, np.degrees(ANGLE))
+    return (
+        "\n".join(head) + "\n" + text_of(*columns, header="time\tknee_moment\tknee", separator="\t")
+    )
+
+
+@pytest.mark.parametrize("suffix", ["sto", "mot"])
+def test_opensim_files(tmp_path, suffix):
+    path = written(tmp_path, opensim("inDegrees=yes"), f"trial.{suffix}")
+    trial = read_trial(path, columns=HEADED)
+    assert_same(trial)
+    assert any("deg" in note for note in trial.notes)
+
+
+def test_opensim_files_that_contradict_their_header(tmp_path):
+    path = written(tmp_path, opensim("inDegrees=no"), "trial.mot")
+    with pytest.raises(InputError, match="says inDegrees=no, and the angle is said to be in deg"):
+        read_trial(path, columns=HEADED)
+    path = written(tmp_path, text_of(TIME, TORQUE, ANGLE), "trial.sto")
+    with pytest.raises(InputError, match="no line 'endheader'"):
+        read_trial(path)
+
+
+def save_hdf5(path, variables, units=()):
+    with h5py.File(path, "w") as file:
+        for name, value in variables.items():
+            file[name] = value
+        for name, unit in dict(units).items():
+            file[name].attrs["units"] = unit
+    return path
+
+
+def test_vectors_of_an_hdf5_group(tmp_path):
+    group = {f"trials/first/{name}": vector for name, vector in VECTORS.items()}
+    path = save_hdf5(tmp_path / "trial.h5", group)
+    assert_same(read_trial(path, columns=OF_VECTORS))
+    more = group | {f"trials/second/{name}": 2 * vector for name, vector in VECTORS.items()}
+    path = save_hdf5(tmp_path / "trials.hdf5", more)
+    assert_same(read_trial(path, columns=OF_VECTORS, variable="trials/first"))
+    with pytest.raises(InputError, match=r"trials/first .struct of q, t, u., trials/second"):
+        read_trial(path, columns=OF_VECTORS)
+
+
+def test_units_of_an_hdf5_file(tmp_path):
+    named = {"time": 1e3 * TIME, "torque": TORQUE, "angle": np.degrees(ANGLE)}
+    units = {"time": "ms", "torque": b"Nm", "angle": "deg"}
+    assert_same(read_trial(save_hdf5(tmp_path / "trial.h5", named, units)))
+    with pytest.raises(InputError, match="does not tell"):
+        read_trial(save_hdf5(tmp_path / "none.h5", named))
+
+
+def test_a_matrix_or_a_table_of_an_hdf5_file(tmp_path):
+    path = save_hdf5(tmp_path / "matrix.h5", {"z": MATRIX})
+    assert_same(read_trial(path, columns=OF_MATRIX, rate=1000.0))
+    fields = np.zeros(TIME.size, [(name, float) for name in VECTORS])
+    for name, vector in VECTORS.items():
+        fields[name] = vector
+    path = save_hdf5(tmp_path / "table.h5", {"rec/table": fields})
+    assert_same(read_trial(path, columns=OF_VECTORS))
+
+
+@pytest.mark.parametrize("content", [b"not hdf5", b"\x89HDF\r\n\x1a\n" + bytes(200)])
+def test_a_damaged_hdf5_file(tmp_path, content):
+    with pytest.raises(InputError, match="cannot be read as HDF5"):
+        read_trial(written(tmp_path, content, "trial.h5"), columns=OF_MATRIX, rate=1000.0)
+
+
 def test_the_only_matrix_is_taken(save):
     path = save({"z": MATRIX, "fs": 1000.0, "comment": "right ankle"})
     trial = read_trial(path, columns=OF_MATRIX, rate=1000.0)

@@ -109,7 +109,7 @@ def add_file_options(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         type=Path,
         metavar="FILE",
-        help="text or MATLAB .mat, or folders of them",
+        help="text, MATLAB .mat, HDF5 .h5, OpenSim .sto or .mot, or folders of them",
     )
     parser.add_argument(
         "--columns",
@@ -118,7 +118,11 @@ def add_file_options(parser: argparse.ArgumentParser) -> None:
         help="where the columns' headers do not name quantity and unit: for example "
         "time=time:s angle=position:deg torque=torque:Nm, or by index angle=0:rad torque=1:Nm",
     )
-    parser.add_argument("--variable", metavar="NAME", help="variable of a .mat file")
+    parser.add_argument(
+        "--variable",
+        metavar="NAME",
+        help="variable of a .mat file, group or dataset of an .h5 file",
+    )
     parser.add_argument("--rate", type=float, metavar="HZ", help="where there is no time column")
     parser.add_argument(
         "--resample",

@@ -6,7 +6,9 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from identifiability.errors import InputError
+from identifiability.measurement.readers.hdf5 import read_hdf5
 from identifiability.measurement.readers.matlab import read_matlab
+from identifiability.measurement.readers.opensim import read_opensim
 from identifiability.measurement.readers.tables import Options, Table
 from identifiability.measurement.readers.text import read_text
 
@@ -24,6 +26,10 @@ READERS: dict[str, Reader] = {
     ".txt": read_text,
     ".dat": read_text,
     ".mat": read_matlab,
+    ".sto": read_opensim,
+    ".mot": read_opensim,
+    ".h5": read_hdf5,
+    ".hdf5": read_hdf5,
 }
 """Suffix in lower case -> reader.
 

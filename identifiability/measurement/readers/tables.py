@@ -39,8 +39,8 @@ class Options:
         """Refuse the name of a variable, for formats that hold none."""
         if self.variable is not None:
             raise InputError(
-                f"variable {self.variable!r} is named, but {suffix} files hold none, as .mat files "
-                "do: leave it out"
+                f"variable {self.variable!r} is named, but {suffix} files hold none, as .mat and "
+                ".h5 files do: leave it out"
             )
 
 

@@ -25,11 +25,19 @@ _FORMATS: Final = (
 def read_text(path: Path, options: Options) -> Table:
     """Table of a text file, with its header's names where it has one."""
     options.refuse_variable(path.suffix)
+    return table_of_lines(lines_of(path))
+
+
+def lines_of(path: Path) -> list[tuple[int, str]]:
+    """Lines of a text file with their numbers, from 1."""
     lines = re.split(r"\r\n|\r|\n", _decoded(path.read_bytes()))
+    return list(enumerate(lines, start=1))
+
+
+def table_of_lines(lines: Sequence[tuple[int, str]]) -> Table:
+    """Table of numbered lines; the first that is neither blank nor a comment may be a header."""
     kept = [
-        (row, line)
-        for row, line in enumerate(lines, start=1)
-        if line.strip() and not line.lstrip().startswith("#")
+        (row, line) for row, line in lines if line.strip() and not line.lstrip().startswith("#")
     ]
     if not kept:
         raise InputError("the file holds no data, only blank lines or comments")

@@ -31,11 +31,13 @@ def read_trial(
     driven: Literal["torque", "angle"] = "torque",
     name: str | None = None,
 ) -> Trial:
-    """Read one trial from a text file, a MATLAB file, or any format in `READERS`.
+    """Read one trial from a text, MATLAB, HDF5 or OpenSim file, or any format in `READERS`.
 
     Text files (.csv, .tsv, .txt, .dat) may be separated by comma, semicolon, tab or white space,
     with a decimal point or comma; lines that start with ``#`` are skipped. MATLAB files (.mat) may
-    be of any version. Time steps that vary by less than 5 %, or that are late now and then, are
+    be of any version. In HDF5 files (.h5, .hdf5) vectors lie side by side in one group, or one
+    matrix or table holds them; OpenSim's files (.sto, .mot) say whether angles are in degrees. Time
+    steps that vary by less than 5 %, or that are late now and then, are
     resampled to the median one, torque linearly and angle by monotone cubics (PCHIP), which the
     trial's notes tell.
 
@@ -48,8 +50,8 @@ def read_trial(
         default columns are found by headers that name quantity and unit, such as ``torque_Nm``,
         ``angle (deg)``, ``torque [N.m]`` or ``Time/s``. A header without a unit is never guessed.
     variable : str, optional
-        In a MATLAB file, the matrix or the struct of vectors to read; needed where the file holds
-        several.
+        In a MATLAB or HDF5 file, the matrix, struct or group of vectors to read; needed where the
+        file holds several.
     rate : float, optional
         Sampling rate (Hz), needed where there is no time column.
     resample : float, optional
