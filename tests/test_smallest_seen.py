@@ -103,15 +103,13 @@ def test_evidence_of_a_slow_trace_grows_less_than_its_square():
 
 DRAWS = 20
 
-# As they came out. For short-range stiffness, quadratic stiffness and friction a torque of any
-# form, no larger than equations may be wrong by, makes up for the trace in some draws only.
+# As they came out. Here a torque of any form, no larger than what counts as nothing, makes up for the
+# trace in some draws, and by how much is not foreseen well enough.
 FAR = {
-    ("coulomb_friction", "torque"): "20 of 20 at the stated size, 6 of 20 at a third",
-    ("quadratic_stiffness", "angle"): "20 of 20 at the stated size, 10 of 20 at a third",
-    ("sensor_delay", "torque"): "15 of 20 at the stated size, 1 of 20 at a third",
-    ("sensor_drift", "torque"): "20 of 20 at the stated size, 6 of 20 at a third",
-    ("sensor_lowpass", "torque"): "15 of 20 at the stated size, 2 of 20 at a third",
-    ("short_range_stiffness", "angle"): "19 of 20 at the stated size, 8 of 20 at a third",
+    ("quadratic_stiffness", "angle"): "19 of 20 at the stated size, 9 of 20 at a third",
+    ("sensor_delay", "torque"): "15 of 20 at the stated size, 2 of 20 at a third",
+    ("sensor_lowpass", "torque"): "15 of 20 at the stated size, 0 of 20 at a third",
+    ("short_range_stiffness", "angle"): "19 of 20 at the stated size, 9 of 20 at a third",
 }
 CASES = [
     pytest.param(key, driven, marks=[pytest.mark.xfail(reason=why)] if why else [])
@@ -127,6 +125,7 @@ def test_nine_of_ten_at_the_stated_size_and_one_of_ten_at_a_third(key, driven):
     one = smallest_of({key: EFFECTS[key]}, driven)[key]
     seen = sum(claimed(key, one.values, seed, driven) for seed in range(100, 100 + DRAWS))
     less = sum(claimed(key, weaker(one, 3), seed, driven) for seed in range(200, 200 + DRAWS))
+    print(f"{key}, {driven}: {seen} of {DRAWS} at the stated size, {less} at a third")
     # What so many draws allow.
     assert binom.cdf(seen, DRAWS, 0.9) > 0.05, (seen, less)
     assert binom.sf(less - 1, DRAWS, 0.1) > 0.05, (seen, less)

@@ -55,7 +55,7 @@ class Rules:
         Half the 95 % interval over the value from which a parameter counts as not pinned down: its
         value is then known to a factor of three at best.
     noise_draws : int
-        Draws of the noise, in all of which the smallest effect that would have been seen is seen.
+        Draws of the noise, from whose median the smallest effect that would have been seen follows.
     false_discoveries : float
         Rate of false discoveries within each view of where a model fails, and over the aspects of
         its comparison (Benjamini & Hochberg 1995, J R Stat Soc B 57: 289-300).

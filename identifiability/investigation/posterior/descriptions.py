@@ -8,12 +8,12 @@ that resemble it, these are none of what is missing.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 from identifiability.inference.starts import refined_values, starting_values
 from identifiability.investigation.posterior.evidence import Evaluated
-from identifiability.joint.effects import DESCRIPTIONS
+from identifiability.joint.effects import DESCRIPTIONS, Effect
 from identifiability.joint.model import Model
 
 
@@ -56,9 +56,8 @@ def descriptions_of(
     """
     own = [key for key in found.model.effect_keys if key not in base]
     out = []
-    for key, kind in DESCRIPTIONS.items():
-        replaced = [k for k in own if k in kind.confused_with]
-        if not replaced or not all(k in library for k in kind.refines):
+    for key, kind, replaced in _places(own):
+        if not all(k in library for k in kind.refines):
             continue
         model = found.model
         for k in replaced:
@@ -74,6 +73,16 @@ def descriptions_of(
             refined = (*refined, key)
         out.append(Description(rest, key, model, starts, refined))
     return out
+
+
+def _places(own: Sequence[str]) -> Iterator[tuple[str, type[Effect], list[str]]]:
+    """Each description and the effects in whose place it is tried: all that resemble it, or one."""
+    for key, kind in DESCRIPTIONS.items():
+        alike = [k for k in own if k in kind.confused_with]
+        if alike:
+            yield key, kind, alike
+        for one in alike if len(alike) > 1 else ():
+            yield key, kind, [one]
 
 
 def _shared(found: Evaluated, model: Model) -> dict[str, float]:

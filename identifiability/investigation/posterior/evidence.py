@@ -222,11 +222,13 @@ class Evaluator:
             # In longer steps than the other's it could not be as likely.
             if nested.scheme.is_finer_than(problem.integration):
                 problem = problem.with_scheme(nested.scheme)
-            found = self.settled(problem, start, nested.weights, refined, also=also, rounds=1)
+            found = self.settled(
+                problem, start, nested.weights, refined, also=also, rounds=1, further=0
+            )
             best = max(best, found, key=lambda one: one.log_evidence)
         while resolved and (finer := self._finer(problem, best)) is not None:
             problem = problem.with_scheme(finer)
-            best = self.settled(problem, best.x[None], best.weights, refined, least)
+            best = self.settled(problem, best.x[None], best.weights, refined, least, further=0)
         if not best.weights.estimate.rms < _DIVERGED * self.band.scale:
             raise InputError("the best response found is not finite")
         return best
@@ -267,6 +269,7 @@ class Evaluator:
         least: float = -np.inf,
         also: Sequence[Contender] = (),
         rounds: int = _ROUNDS,
+        further: int = FURTHER,
     ) -> Evaluated:
         """Model and noise fitted in turn, from given points and noise: see `evaluate`.
 
@@ -276,7 +279,7 @@ class Evaluator:
         """
         best = None
         for orders in (*[self.plain] * (rounds - 1), self.orders):
-            x = self.fitted(problem, points, weights, FURTHER if rounds > 1 else 0)
+            x = self.fitted(problem, points, weights, further)
             points = x[None]
             tried = (*orders, *weights.contenders[:1], *also)
             weights = self.reference.weights(raw_residuals(problem, self.band, x)[0], tried)

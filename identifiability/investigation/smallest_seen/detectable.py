@@ -1,7 +1,7 @@
 """The smallest effect that would have been seen, for every effect of the library.
 
 What the size must be for the effect to be claimed is found by halving a bracket in the noise as it
-was recorded, and then in the least lucky of several draws of that noise.
+was recorded, and then in the median of several draws of that noise.
 """
 
 from __future__ import annotations
@@ -25,12 +25,13 @@ _STRIDE = 8.0  # largest step of that
 _ABOUT = 1.6  # ratio of the bracket's ends
 _USUAL_PENALTY = 8.0  # nats of likelihood that priors take
 _FURTHEST = 1e3  # from the first strength, that theirs may lead
-_FOLLOWED = 3  # of the draws, that are the least lucky
-_TURNS, _NEAR = 5, 1.0  # strengths at which they are made at most, and nats that are near enough
+_FOLLOWED = 4  # of the draws, that are nearest to the median
+_TURNS, _NEAR = 5, 0.5  # strengths at which they are made at most, and nats that are near enough
 _FARTHEST = 0.7  # logarithm of a step's ratio
-# What is 6.3 deviations of known noise long is seen in each of ten draws. From 6.1 on it is seen in
-# nine of ten, and up to 10.6 a third of it in at most one: the middle is this times the 6.3.
-_MARGIN = 1.25
+# To be seen in nine of ten draws at the size, and at a third of it in one: whatever the spread of
+# the sizes at which draws show it, as long as it is the same both ways, the middle of what does
+# both is this times their median.
+_MARGIN = np.sqrt(3.0)
 _MOST = 12  # sizes that are tried
 _LEAST_SLOPE = 5.0  # of evidence [nats] by the logarithm of size; less is chance
 _SMALLEST = 1e-6  # share of the nominal size that is none
@@ -74,11 +75,9 @@ def detectable(
     """Smallest effects that would have been seen beside a model that was weighed.
 
     An effect counts as seen where its probability rises from one among all effects of the library
-    and the unknown to ``rules.claimed``, in draws of the noise that are less lucky than the median
-    by ``rules.bad_luck`` standard deviations. How far draws differ is measured: noise is estimated
-    with the model, and a slow trace may be its colour; then evidence grows by the logarithm of its
-    size, and not by the square, and varies less. Torques of any form that make up for the trace let
-    it vary more.
+    and the unknown to ``rules.claimed``. At the stated size it is in nine of ten draws of the noise
+    or more, and at a third of it in one or less: that is the square root of three times the size at
+    which it is in half of ``rules.noise_draws``, if draws differ by no more than 1.7 times.
 
     Effects that stay invisible at any size are left out.
 
@@ -183,10 +182,10 @@ class _Search:
         return high if np.isfinite(high) else None
 
     def _seen_in_draws(self, strength: float, most: float) -> float | None:
-        """Smallest strength at which it is seen in every draw of the noise.
+        """Strength at which it is seen in half of the draws of the noise.
 
-        The draws are the same at every strength. So those that are the least lucky at the first
-        stay so near it, and the others need not be made again.
+        The draws are the same at every strength. So those that are nearest to the median at the
+        first stay so near it, and the others need not be made again.
         """
         draws = np.arange(1, 1 + self.draws)
         before = None
@@ -195,18 +194,19 @@ class _Search:
             if found is None:
                 return None
             gains, penalties = np.array(found).T
-            left = float(gains.min()) - self.odds
+            left = float(np.median(gains)) - self.odds
             if left < 0 and strength >= most:
                 return None
             if abs(left) < _NEAR:
                 break
-            draws = draws[np.argsort(gains, kind="stable")[:_FOLLOWED]]
             if before is None:  # evidence grows with the square of the strength
-                slope = 2 * (self.odds + float(penalties[gains.argmin()]))
+                slope = 2 * (self.odds + float(np.median(penalties)))
             else:
                 slope = (left - before[1]) / float(np.log(strength / before[0]))
             slope = max(slope, _LEAST_SLOPE)
             before = strength, left
+            middle = (gains.size - min(_FOLLOWED, gains.size)) // 2
+            draws = draws[np.argsort(gains, kind="stable")[middle : middle + _FOLLOWED]]
             step = float(np.clip(-left / slope, -_FARTHEST, _FARTHEST))
             strength = min(strength * float(np.exp(step)), most)
         return strength
