@@ -5,6 +5,7 @@ from hidden import HELD, JOINT, trials
 
 from identifiability.inference.starts import nested_values
 from identifiability.investigation.posterior import evidence
+from identifiability.investigation.posterior.evidence import Evaluator
 from identifiability.investigation.posterior.search import _Search
 from identifiability.investigation.posterior.weighing import Job, Weighing
 from identifiability.investigation.session import Investigation
@@ -57,7 +58,8 @@ def test_a_model_is_no_less_likely_than_one_it_contains(driven, monkeypatch):
     large = small + EFFECTS["sensor_delay"]()
     astray = nested_values(large, nested.values) | {"sensor_delay.delay": 0.03, "I": 1.0}
     monkeypatch.setattr(evidence, "EVALUATIONS", 1)
-    monkeypatch.setattr(evidence, "FURTHER", 0)
+    fitted = Evaluator.fitted
+    monkeypatch.setattr(Evaluator, "fitted", lambda *given: fitted(*given[:4], 0))
     alone = evaluator.evaluate(large, [astray], resolved=False)
     assert alone.log_likelihood < nested.log_likelihood - 10  # else nothing is tested
     beside = evaluator.evaluate(large, [astray], resolved=False, nested=nested)

@@ -103,7 +103,7 @@ def test_evidence_of_a_slow_trace_grows_less_than_its_square():
 
 DRAWS = 20
 
-# As they came out. Here a torque of any form, no larger than what counts as nothing, makes up for the
+# As they came out. A torque of any form, no larger than what counts as nothing, makes up for the
 # trace in some draws, and by how much is not foreseen well enough.
 FAR = {
     ("quadratic_stiffness", "angle"): "19 of 20 at the stated size, 9 of 20 at a third",
