@@ -2,12 +2,16 @@
 
 import numpy as np
 
+from identifiability.investigation.session import Investigation
+from identifiability.joint.effects import EFFECTS
+from identifiability.joint.model import KBI
 from identifiability.joint.response import simulate
 from identifiability.measurement.perturbations import SampledTorque, imposed_motion
 from identifiability.measurement.trials import Trial
 
 TIME = np.arange(250) / 500
 JOINT = {"K": 30.0, "B": 1.0, "I": 0.1}
+CONDITIONS = [("pulse", 8), ("pulse", -16), ("step", 4), ("step", -6)]
 
 
 def torque(time: np.ndarray, kind: str, size: float) -> np.ndarray:
@@ -31,7 +35,7 @@ def trials(
 
     Or in that of another model and values they are `like`.
     """
-    conditions = conditions or [("pulse", 8), ("pulse", -16), ("step", 4), ("step", -6)]
+    conditions = conditions or CONDITIONS
     rng = np.random.default_rng(seed)
     theta = model.vector(values)
     out = []
@@ -62,3 +66,21 @@ def record_that_grows(model, values, seed=1, noise=1e-3):
     angle = simulate(model, model.vector(values), SampledTorque(u).drive(t))
     sd = noise * np.sqrt(np.mean(angle**2))
     return Trial(t, u, angle + sd * rng.standard_normal(t.size), name="growing")
+
+
+PAIR = JOINT | {
+    "cubic_stiffness.coefficient": 120.0,
+    "cubic_stiffness.centre": 0.0,
+    "sensor_delay.delay": 0.004,
+}
+
+
+def study_of_a_pair(driven, keys):
+    """Of a joint with a cubic spring and a delayed sensor, by some of the library."""
+    model = KBI() + EFFECTS["cubic_stiffness"]() + EFFECTS["sensor_delay"]()
+    size = 1.0 if driven == "torque" else 6.0
+    fitted, held = (
+        trials(model, PAIR, seed, conditions=c, driven=driven)
+        for seed, c in ((3, [(k, size * s) for k, s in CONDITIONS]), (4, HELD))
+    )
+    return Investigation(fitted, held, library={key: EFFECTS[key] for key in keys})

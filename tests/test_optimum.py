@@ -50,11 +50,16 @@ def fitted(key, driven, changes=None, **experiment):
     return study.bench, study.fit(model)
 
 
-def gains_when_held(bench: Workbench, candidate):
-    """How much better [nats] fits are that hold one parameter about where the free fit has it."""
-    problem = bench.problem(
+def problem_of(bench: Workbench, candidate):
+    """That of the fitted trials, as the candidate was fitted to them."""
+    return bench.problem(
         candidate.model, bench.split.fitted, refined=candidate.refined, scheme=candidate.scheme
     )
+
+
+def gains_when_held(bench: Workbench, candidate):
+    """How much better [nats] fits are that hold one parameter about where the free fit has it."""
+    problem = problem_of(bench, candidate)
     best = problem.free_vector(candidate.values)
     residuals, jacobian = problem.residuals(best), problem.jacobian(best)
     cost = 0.5 * residuals @ residuals
@@ -113,9 +118,7 @@ def test_a_delay_is_found_beyond_the_next_ripple():
 
 def moved_by_half_the_step(bench, candidate):
     """By how many nats the fitted trials are more or less likely in half the step."""
-    problem = bench.problem(
-        candidate.model, bench.split.fitted, refined=candidate.refined, scheme=candidate.scheme
-    )
+    problem = problem_of(bench, candidate)
     x = problem.free_vector(candidate.values)
     costs = [float(np.sum(p.residuals(x) ** 2)) for p in (problem, problem.halved())]
     return abs(0.5 * problem.n_samples * np.log(costs[1] / costs[0]))

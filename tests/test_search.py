@@ -1,42 +1,25 @@
 """No optimum is missed unseen, and no effect is named that was never left out."""
 
 import pytest
-from hidden import HELD, JOINT, trials
+from hidden import JOINT, PAIR, study_of_a_pair
 
 from identifiability.inference.starts import nested_values
 from identifiability.investigation.posterior import evidence
 from identifiability.investigation.posterior.evidence import Evaluator
 from identifiability.investigation.posterior.search import _Search
 from identifiability.investigation.posterior.weighing import Job, Weighing
-from identifiability.investigation.session import Investigation
 from identifiability.joint.effects import EFFECTS
 from identifiability.joint.model import KBI
 from identifiability.progress import silent
 
 KEYS = ("cubic_stiffness", "sensor_delay", "second_mass")
 LIBRARY = {key: EFFECTS[key] for key in KEYS}
-VALUES = JOINT | {
-    "cubic_stiffness.coefficient": 120.0,
-    "cubic_stiffness.centre": 0.0,
-    "sensor_delay.delay": 0.004,
-}
-CONDITIONS = [("pulse", 8), ("pulse", -16), ("step", 4), ("step", -6)]
-
-
-def study_of(driven):
-    model = KBI() + EFFECTS["cubic_stiffness"]() + EFFECTS["sensor_delay"]()
-    size = 1.0 if driven == "torque" else 6.0
-    fitted, held = (
-        trials(model, VALUES, seed, conditions=c, driven=driven)
-        for seed, c in ((3, [(k, size * s) for k, s in CONDITIONS]), (4, HELD))
-    )
-    return Investigation(fitted, held, library=LIBRARY)
 
 
 @pytest.mark.parametrize("key", list(EFFECTS))
 def test_a_smaller_model_is_in_a_larger_one(key):
     """The larger one may be integrated in steps, and a tendon has an end to its stiffness."""
-    study = study_of("torque")
+    study = study_of_a_pair("torque", KEYS)
     evaluator = study._evaluator(1)
     plain = evaluator.evaluate(KBI(), [study.baseline.values])
     model = KBI() + EFFECTS[key]()
@@ -51,7 +34,7 @@ def test_a_smaller_model_is_in_a_larger_one(key):
 @pytest.mark.parametrize("driven", ["torque", "angle"])
 def test_a_model_is_no_less_likely_than_one_it_contains(driven, monkeypatch):
     """Where its fit is led astray, which is made to happen here, it starts again from there."""
-    study = study_of(driven)
+    study = study_of_a_pair(driven, KEYS)
     evaluator = study._evaluator(1)
     small = KBI() + EFFECTS["cubic_stiffness"]()
     nested = evaluator.evaluate(small, [study.baseline.values | nested_values(small, JOINT)])
@@ -69,7 +52,7 @@ def test_a_model_is_no_less_likely_than_one_it_contains(driven, monkeypatch):
 @pytest.mark.parametrize("driven", ["torque", "angle"])
 def test_each_effect_of_the_most_probable_set_is_left_out(driven):
     """Of three effects one is not there; the pair without it was not weighed on the way."""
-    study = study_of(driven)
+    study = study_of_a_pair(driven, KEYS)
     weighing = Weighing(study._evaluator(1), LIBRARY, study.baseline.keys, study.bench.rules)
     search = _Search(weighing, LIBRARY, silent)
     baseline = study.baseline
@@ -78,7 +61,7 @@ def test_each_effect_of_the_most_probable_set_is_left_out(driven):
     model = KBI()
     for key in KEYS:
         model = model + EFFECTS[key]()
-    search.add("three", [Job(model, [nested_values(model, VALUES)])])
+    search.add("three", [Job(model, [nested_values(model, PAIR)])])
     truth = ("cubic_stiffness", "sensor_delay")
     assert truth not in weighing.found
     search.leave_out()

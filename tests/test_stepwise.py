@@ -1,7 +1,7 @@
 """Effects that are added by least squares, whatever the colour of what is left."""
 
 import pytest
-from hidden import HELD, JOINT, trials
+from hidden import CONDITIONS, HELD, JOINT, PAIR, study_of_a_pair, trials
 
 from identifiability.investigation.posterior import search
 from identifiability.investigation.posterior.stepwise import stepwise
@@ -11,27 +11,11 @@ from identifiability.joint.model import KBI
 
 KEYS = ("cubic_stiffness", "sensor_delay", "second_mass", "coulomb_friction")
 LIBRARY = {key: EFFECTS[key] for key in KEYS}
-VALUES = JOINT | {
-    "cubic_stiffness.coefficient": 120.0,
-    "cubic_stiffness.centre": 0.0,
-    "sensor_delay.delay": 0.004,
-}
-CONDITIONS = [("pulse", 8), ("pulse", -16), ("step", 4), ("step", -6)]
-
-
-def study_of(driven):
-    model = KBI() + EFFECTS["cubic_stiffness"]() + EFFECTS["sensor_delay"]()
-    size = 1.0 if driven == "torque" else 6.0
-    fitted, held = (
-        trials(model, VALUES, seed, conditions=c, driven=driven)
-        for seed, c in ((3, [(k, size * s) for k, s in CONDITIONS]), (4, HELD))
-    )
-    return Investigation(fitted, held, library=LIBRARY)
 
 
 @pytest.mark.parametrize("driven", ["torque", "angle"])
 def test_what_is_missing_leaves_least(driven):
-    study = study_of(driven)
+    study = study_of_a_pair(driven, KEYS)
     evaluator = study._evaluator(1)
     base = evaluator.evaluate(KBI(), [study.baseline.values])
     steps = list(stepwise(evaluator, base, LIBRARY, 3))
@@ -41,7 +25,7 @@ def test_what_is_missing_leaves_least(driven):
     assert [len(keys) for keys in sets] == [1, 2, 3, 2, 2, 2]
     assert all(keys < sets[2] for keys in sets[3:])
     assert len({frozenset(keys) for keys in sets[3:]}) == 3
-    for name, value in VALUES.items():
+    for name, value in PAIR.items():
         if name != "cubic_stiffness.centre":
             assert steps[1].values[name] == pytest.approx(value, rel=0.1)
 
@@ -69,7 +53,7 @@ def test_it_is_looked_for_before_something_unknown_is_said(driven, monkeypatch):
         return len(looked) > before
 
     spring = KBI() + EFFECTS["cubic_stiffness"]()
-    values = {name: VALUES[name] for name in spring.parameter_names}
+    values = {name: PAIR[name] for name in spring.parameter_names}
     assert not looks(KBI(), JOINT, 1e-3, ["cubic_stiffness"])
     assert looks(KBI(), JOINT, 0.2, ["cubic_stiffness"])
     assert not looks(spring, values, 1e-3, ["cubic_stiffness", "sensor_delay"])

@@ -62,11 +62,11 @@ class Rules:
     solver_share : float
         Error of a fit's integration, as E, over that of the noise, from which on the fit is
         repeated with finer steps.
+    solver_most, solver_least : float
+        Bounds of what it may be: where the noise is large or unknown, and where there is none.
     solver_nats : float
         Nats by which half the step may make the fitted trials more or less likely: the cost of a
         model with corners has ripples of about that size, in which a fit ends.
-    solver_most, solver_least : float
-        Bounds of what it may be: where the noise is large or unknown, and where there is none.
     trifle : float
         Share of the response that is nothing unknown: instruments are linear to so much.
     equations : float

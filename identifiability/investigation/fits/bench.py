@@ -175,8 +175,8 @@ class Workbench:
                 best = explore(problem, points, evaluations=THOROUGH, further=FURTHER)
                 best = delays_profiled(problem, best, evaluations=THOROUGH)
                 reached = _distinct(model, problem, best)
-                parts, moved, nats = self._checked(problem, reached[0])
-                wanted = self._wanted(problem, moved, nats)
+                parts, moved, excess = self._checked(problem, reached[0])
+                wanted = self._wanted(problem, excess)
                 if not wanted.is_finer_than(problem.integration):
                     break
             else:
@@ -186,7 +186,7 @@ class Workbench:
                 # A fit on its way may have asked for more than its end needs.
                 coarser = problem.with_scheme(asked)
                 less = self._checked(coarser, reached[0])
-                if less[1] <= self._tolerance and less[2] <= self.rules.solver_nats:
+                if less[2] <= 1:
                     problem, (parts, moved, _) = coarser, less
             fitted, held_out = parts
             if fitted.weighted >= _DIVERGED:
@@ -221,10 +221,11 @@ class Workbench:
     def _checked(
         self, problem: Problem, values: Mapping[str, float]
     ) -> tuple[tuple[Residual, Residual], float, float]:
-        """What values leave of the fitted and held-out trials, and the error of the solver.
+        """What values leave of the fitted and held-out trials, and the error E of the solver.
 
-        As an error E, which follows from what half the step changes, in the part where that is
-        more; and by how many nats half the step makes the fitted trials more or less likely.
+        The error follows from what half the step changes, in the part where that is more. At last
+        how many times too large it is, or the square of the nats by which half the step makes the
+        fitted trials more or less likely.
         """
         split, refined = self.split, _refined(problem)
         left, errors, nats = [], [0.0], 0.0
@@ -247,10 +248,11 @@ class Workbench:
                 if part is split.fitted:
                     ratio = halved.weighted / max(left[0].weighted, 1e-300)
                     nats = abs(0.5 * left[0].n_samples * float(np.log(max(ratio, 1e-300))))
-        return (left[0], left[1]), max(errors), nats
+        excess = max(max(errors) / self._tolerance, (nats / self.rules.solver_nats) ** 2)
+        return (left[0], left[1]), max(errors), excess
 
-    def _wanted(self, problem: Problem, error: float, nats: float) -> Scheme:
-        """Scheme that a fit asks for, by the errors of the one that it was made with.
+    def _wanted(self, problem: Problem, excess: float) -> Scheme:
+        """Scheme that a fit asks for, by how many times too large the error of its own is.
 
         Raises
         ------
@@ -259,12 +261,11 @@ class Workbench:
         """
         scheme = problem.integration
         # What overflows is a failure of another kind.
-        too_large = max(error / self._tolerance, (nats / self.rules.solver_nats) ** 2)
-        if not np.isfinite(too_large) or too_large <= 1:
+        if not np.isfinite(excess) or excess <= 1:
             return scheme
         if scheme.finest:
             raise InputError(_too_fast(problem))
-        return scheme.improved(too_large)
+        return scheme.improved(excess)
 
     @property
     def _tolerance(self) -> float:

@@ -217,14 +217,11 @@ class Evaluator:
         assert best is not None
         if nested is not None and best.log_likelihood < nested.log_likelihood - _MISSED:
             point = problem.free_vector(nested_values(model, nested.values))
-            also = nested.weights.contenders[:1]
             start = inside(problem, point[None])
             # In longer steps than the other's it could not be as likely.
             if nested.scheme.is_finer_than(problem.integration):
                 problem = problem.with_scheme(nested.scheme)
-            found = self.settled(
-                problem, start, nested.weights, refined, also=also, rounds=1, further=0
-            )
+            found = self.settled(problem, start, nested.weights, refined, rounds=1, further=0)
             best = max(best, found, key=lambda one: one.log_evidence)
         while resolved and (finer := self._finer(problem, best)) is not None:
             problem = problem.with_scheme(finer)
@@ -275,7 +272,8 @@ class Evaluator:
 
         A likelihood of noise has several optima, and what a poor fit leaves is of another colour.
         So noise is sought from where it was before and from where others `also` ended; at first
-        among plain orders, at last among all.
+        among plain orders, at last among all. A fit that is near its end is given no `further`
+        evaluations, and one that only begins one round.
         """
         best = None
         for orders in (*[self.plain] * (rounds - 1), self.orders):

@@ -149,7 +149,7 @@ class _Search:
             keys, before = max(found, key=self.weighing.score), set(self.enlarged)
             while len(keys) > 2 and keys not in self.reduced:
                 self.reduced.add(keys)
-                rests = [tuple(k for k in keys if k != key) for key in keys]
+                rests = _without_one(keys)
                 self.add(f"{' + '.join(keys)} without one", [self._rest(keys, r) for r in rests])
                 keys = max((r for r in rests if r in found), key=self.weighing.score, default=())
                 if keys and keys == self.best(len(keys)) and keys not in self.enlarged:
@@ -287,5 +287,12 @@ class _Search:
 
     def not_enlarged(self, keys: Keys) -> Keys | None:
         """Rest of a set without one of its effects that has not been enlarged itself."""
-        rests = [tuple(k for k in keys if k != key) for key in keys]
-        return next((r for r in rests if r in self.weighing.found and r not in self.enlarged), None)
+        return next(
+            (r for r in _without_one(keys) if r in self.weighing.found and r not in self.enlarged),
+            None,
+        )
+
+
+def _without_one(keys: Keys) -> list[Keys]:
+    """A set without each of its effects."""
+    return [tuple(k for k in keys if k != key) for key in keys]

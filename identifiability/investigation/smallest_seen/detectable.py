@@ -123,7 +123,7 @@ class _Search:
     odds : float
         Log evidence [nats] that its prior asks for.
     draws : int
-        Of the noise, in all of which it has to be seen.
+        Of the noise, in half of which it has to be seen.
     """
 
     hidden: Hidden
@@ -205,7 +205,7 @@ class _Search:
                 slope = (left - before[1]) / float(np.log(strength / before[0]))
             slope = max(slope, _LEAST_SLOPE)
             before = strength, left
-            middle = (gains.size - min(_FOLLOWED, gains.size)) // 2
+            middle = max(0, gains.size - _FOLLOWED) // 2
             draws = draws[np.argsort(gains, kind="stable")[middle : middle + _FOLLOWED]]
             step = float(np.clip(-left / slope, -_FARTHEST, _FARTHEST))
             strength = min(strength * float(np.exp(step)), most)

@@ -29,7 +29,7 @@ def read_hdf5(path: Path, options: Options) -> Table:
             f"the file cannot be read as HDF5 ({type(error).__name__}): write it again, and close "
             "it before it is copied"
         ) from None
-    return table_of({name: value for name, value in variables.items() if len(value)}, options)
+    return table_of(variables, options)
 
 
 def _variables(file: h5py.File) -> Variables:

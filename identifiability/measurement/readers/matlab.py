@@ -22,4 +22,4 @@ def read_matlab(path: Path, options: Options) -> Table:
             f"the file cannot be read as a MATLAB file ({type(error).__name__}): "
             "save it again with MATLAB's save"
         ) from None
-    return table_of({name: value for name, value in found.items() if len(value)}, options)
+    return table_of(found, options)

@@ -37,9 +37,8 @@ def read_trial(
     with a decimal point or comma; lines that start with ``#`` are skipped. MATLAB files (.mat) may
     be of any version. In HDF5 files (.h5, .hdf5) vectors lie side by side in one group, or one
     matrix or table holds them; OpenSim's files (.sto, .mot) say whether angles are in degrees. Time
-    steps that vary by less than 5 %, or that are late now and then, are
-    resampled to the median one, torque linearly and angle by monotone cubics (PCHIP), which the
-    trial's notes tell.
+    steps that vary by less than 5 %, or that are late now and then, are resampled to the median
+    one, torque linearly and angle by monotone cubics (PCHIP), which the trial's notes tell.
 
     Parameters
     ----------

@@ -28,7 +28,8 @@ def _is_vector(value: NDArray[Any]) -> bool:
 
 
 def table_of(variables: Variables, options: Options) -> Table:
-    """Table of one variable, a matrix or a struct of vectors."""
+    """Table of one variable, a matrix or a struct of vectors; empty ones are none."""
+    variables = {name: value for name, value in variables.items() if len(value)}
     chosen = _chosen(variables, options.variable, options.columns)
     if isinstance(chosen, dict):
         vectors = {name: value.ravel() for name, value in chosen.items() if _is_vector(value)}
