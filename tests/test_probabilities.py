@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from constructed import probabilities
+from hidden import JOINT
 from hidden import trials as trials_of
 from scipy import integrate, stats
 from scipy.optimize import least_squares
@@ -424,6 +425,33 @@ def test_a_torque_that_nothing_names_is_found_and_noise_is_not():
     gain, beside = probabilities_with(swing, torque_sd=0.05)
     assert gain > 20
     assert beside.kind == "varying"
+
+
+@pytest.mark.parametrize("driven", ["torque", "angle"])
+def test_a_discrepancy_does_not_depend_on_where_the_parameters_were(driven):
+    """Those that are best without it, in the noise that there is without it, are not best beside it.
+
+    Taken as if they were, something small that is unknown would seem less likely than it is.
+    """
+    model, values = (
+        KBI() + EFFECTS["cubic_stiffness"](),
+        JOINT
+        | {
+            "cubic_stiffness.coefficient": 60.0,
+            "cubic_stiffness.centre": 0.0,
+        },
+    )
+    band = band_of(trials_of(model, values, driven=driven), (), lowpass_hz=None)
+    evaluator = evaluator_of(band, JOINT)
+    plain = evaluator.evaluate(KBI(), [JOINT])
+    discrepancy = discrepancy_of(evaluator, plain)
+    found = []
+    for sds in (-3.0, 0.0, 3.0):
+        x = plain.x + sds * np.array(list(plain.sds.values()))
+        moved = evaluator.evaluated(plain.problem, x, plain.weights)
+        found.append(discrepancy.beside(moved).log_evidence)
+    assert min(found) > plain.log_evidence + 10
+    assert np.ptp(found) < 0.5
 
 
 def test_what_noise_takes_from_weights_is_given_back():

@@ -181,12 +181,16 @@ class _Beside:
             if here.probes:
                 noise = here.weights.gain * here.weights.whitened(self._noise)
                 own = here.weights.gain * here.weights.whitened(here.probes)
+                slope = slope - here.turns.T @ own[:, 1:].T @ own[:, 0]
                 noise -= own[:, 1:] @ here.turns @ taken
                 inner, along = _known(inner, along, noise, own[:, 0])
             gain, sizes, mean = self._sized(inner, along, sizes)
             there = int(np.sum(sizes > _COUNTS * band.scale))
-            log_evidence = here.log_evidence + gain - there * np.log(_LOG_RANGE)
-            moved = np.linalg.solve(here.precision, slope) - taken @ mean
+            # In noise of another colour the best parameters are elsewhere.
+            best_alone = np.linalg.solve(here.precision, slope)
+            log_evidence = here.log_evidence + 0.5 * float(slope @ best_alone)
+            log_evidence += gain - there * np.log(_LOG_RANGE)
+            moved = best_alone - taken @ mean
             left = here.white - white @ mean - here.directions @ moved
             rms = here.weights.estimate.rms
             more, share = growing_noise(left, self.lively, min(1.0, (self.caps[0] / rms) ** 2))

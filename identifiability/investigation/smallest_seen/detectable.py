@@ -23,7 +23,7 @@ from identifiability.progress import Progress, silent
 _FIRST = 0.01  # share of the nominal size that the bracket is looked for from
 _STRIDE = 8.0  # largest step of that
 _ABOUT = 1.6  # ratio of the bracket's ends
-_USUAL_PENALTY = 8.0  # nats of likelihood that priors take
+_USUAL = 14.0  # nats of likelihood that a claim takes
 _FURTHEST = 1e3  # from the first strength, that theirs may lead
 _FOLLOWED = 4  # of the draws, that are nearest to the median
 _TURNS, _NEAR = 5, 0.5  # strengths at which they are made at most, and nats that are near enough
@@ -93,8 +93,7 @@ def detectable(
     progress : callable
         Told ``(what, done, total)``.
     """
-    known = Known.of(evaluator, without, rules.trifle, seed)
-    odds = float(np.log(rules.claimed / (1 - rules.claimed) * (len(library) + 1)))
+    known = Known.of(evaluator, without, library, rules, seed)
     searches = []
     for key, kind in library.items():
         if key in without.model.effect_keys:
@@ -103,7 +102,7 @@ def detectable(
             model = without.model + kind()
         except InputError:  # it does not go with an effect that is there
             continue
-        searches.append(_Search(Hidden(known, model, key), odds, rules.noise_draws))
+        searches.append(_Search(Hidden(known, model, key), rules.noise_draws))
     found: list[Detectable] = []
     with ThreadPoolExecutor(THREADS) as pool:
         for i, one in enumerate(pool.map(_Search.smallest, searches)):
@@ -120,14 +119,11 @@ class _Search:
     Attributes
     ----------
     hidden : Hidden
-    odds : float
-        Log evidence [nats] that its prior asks for.
     draws : int
         Of the noise, in half of which it has to be seen.
     """
 
     hidden: Hidden
-    odds: float
     draws: int
 
     def smallest(self) -> Detectable | None:
@@ -152,7 +148,7 @@ class _Search:
         length = self.hidden.length(strength)
         if length is None:
             return strength
-        step = np.sqrt(2 * (self.odds + _USUAL_PENALTY)) / max(length, 1e-6)
+        step = np.sqrt(2 * _USUAL) / max(length, 1e-6)
         return strength * float(np.clip(step, 1 / _FURTHEST, _FURTHEST))
 
     def _bracketed(self, strength: float, least: float, most: float) -> float | None:
@@ -163,18 +159,18 @@ class _Search:
             if found is None:  # the response has no bounds: no joint has an effect of that size
                 return None
             gain, penalty = found[0]
-            if gain >= self.odds:
+            if gain >= 0:
                 high = strength
             else:
                 low = strength
             if low >= most or high < least:
                 return None
-            if abs(gain - self.odds) < _NEAR:
+            if abs(gain) < _NEAR:
                 return strength
             if high <= _ABOUT * low:
                 return high
             # Evidence grows with the square of the strength, or less where noise can be its colour.
-            short_of = np.sqrt((self.odds + penalty) / max(gain + penalty, 1e-2))
+            short_of = np.sqrt(penalty / max(gain + penalty, 1e-2))
             strength *= float(np.clip(short_of, 1 / _STRIDE, _STRIDE))
             if low > 0 and np.isfinite(high) and not low * _ABOUT < strength < high / _ABOUT:
                 strength = float(np.sqrt(low * high))
@@ -194,13 +190,13 @@ class _Search:
             if found is None:
                 return None
             gains, penalties = np.array(found).T
-            left = float(np.median(gains)) - self.odds
+            left = float(np.median(gains))
             if left < 0 and strength >= most:
                 return None
             if abs(left) < _NEAR:
                 break
             if before is None:  # evidence grows with the square of the strength
-                slope = 2 * (self.odds + float(np.median(penalties)))
+                slope = 2 * float(np.median(penalties))
             else:
                 slope = (left - before[1]) / float(np.log(strength / before[0]))
             slope = max(slope, _LEAST_SLOPE)

@@ -6,7 +6,7 @@ Both models are weighed on them as on the recording.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -15,14 +15,16 @@ import numpy as np
 from identifiability.inference.fitting import inside
 from identifiability.inference.problem import Problem
 from identifiability.inference.starts import starting_values
-from identifiability.investigation.posterior.discrepancy import Discrepancy, discrepancy_of
 from identifiability.investigation.posterior.evidence import Evaluated, Evaluator
 from identifiability.investigation.posterior.noises import Weights, raw_residuals
+from identifiability.investigation.posterior.weighing import Weighing
+from identifiability.investigation.rules import Rules
 from identifiability.joint.model import Model
 from identifiability.joint.parameters import Parameter
 from identifiability.joint.response import simulate
 from identifiability.measurement.perturbations import Drive, imposed_motion
 
+_LEAST = 1e-300  # probability, whose logarithm is taken
 _SOLVER_SHARE = 0.01  # of a trace's square that the error of its integration may have
 
 
@@ -34,28 +36,34 @@ class Known:
     ----------
     evaluator : Evaluator
     model : Evaluated
-    any_form : Discrepancy
-        Torques of any form beside it: small enough to be none, they may make up for a trace.
+    library : collection of str
+        Keys of the effects that could be tried.
+    rules : Rules
+        Conventions.
     noise : Weights
         From which noise is drawn.
-    trifle : float
-        Size, over the response's, of a torque that is none.
     seed : int
         Of draws of the noise.
     """
 
     evaluator: Evaluator
     model: Evaluated
-    any_form: Discrepancy
+    library: Collection[str]
+    rules: Rules
     noise: Weights
-    trifle: float
     seed: int
 
     @classmethod
-    def of(cls, evaluator: Evaluator, model: Evaluated, trifle: float, seed: int) -> Known:
+    def of(
+        cls,
+        evaluator: Evaluator,
+        model: Evaluated,
+        library: Collection[str],
+        rules: Rules,
+        seed: int,
+    ) -> Known:
         """A model that was weighed."""
-        any_form = discrepancy_of(evaluator, model)
-        return cls(evaluator, model, any_form, likely_noise(evaluator, model), trifle, seed)
+        return cls(evaluator, model, library, rules, likely_noise(evaluator, model), seed)
 
 
 def likely_noise(evaluator: Evaluator, found: Evaluated) -> Weights:
@@ -146,9 +154,9 @@ class Hidden:
     def gained(
         self, strength: float, draws: Sequence[int] = (0,)
     ) -> list[tuple[float, float]] | None:
-        """Log evidence of the effect at a strength, and how much of its likelihood priors took.
+        """Nats that the effect's odds are beyond what a claim needs, and that priors took of them.
 
-        In draws of the noise, of which number 0 is the one that was recorded.
+        At a strength, in draws of the noise, of which number 0 is the one that was recorded.
         """
         values = self.values(strength)
         trace = self._trace(values)
@@ -181,12 +189,20 @@ class Hidden:
             larger = self._evaluator.evaluated(changed, x, own, known.refined, tried)
         except (ValueError, np.linalg.LinAlgError):
             return None
-        gain = larger.log_evidence - smaller.log_evidence
-        penalty = max(0.0, larger.log_likelihood - smaller.log_likelihood - gain)
-        any_form = replace(self.known.any_form, noise=larger.weights)
-        inexact = any_form.beside(smaller, self.known.trifle * self._evaluator.band.scale)
-        made_up = max(0.0, inexact.log_evidence - np.log(2) - smaller.log_evidence)
-        return gain - float(made_up), penalty
+        gain = self._odds(smaller, larger)
+        return gain, max(0.0, larger.log_likelihood - smaller.log_likelihood - gain)
+
+    def _odds(self, smaller: Evaluated, larger: Evaluated) -> float:
+        """Logarithm of the odds that weighing gives the effect, over those that a claim needs."""
+        known = self.known
+        base = known.model.model.effect_keys
+        weighing = Weighing(known.evaluator, known.library, base, known.rules)
+        weighing.found = {(): smaller, (self.key,): larger}
+        rows = weighing.posterior().rows
+        there = sum(row.probability for row in rows if row.effects == (self.key,))
+        else_ = sum(row.probability for row in rows if row.effects != (self.key,))
+        asked = known.rules.claimed / (1 - known.rules.claimed)
+        return float(np.log(max(there, _LEAST)) - np.log(max(else_, _LEAST)) - np.log(asked))
 
     @property
     def _has_corners(self) -> bool:
@@ -196,11 +212,10 @@ class Hidden:
     @cached_property
     def _problems(self) -> tuple[Problem, Problem]:
         """Of both models, of what was recorded."""
-        band, probes = self._evaluator.band, self._evaluator.reference.probes
-        known = self._without
+        band, known = self._evaluator.band, self._without
         return (
-            band.problem(known.model, refined=known.refined, scheme=known.scheme, probes=probes),
-            band.problem(self.model, refined=known.refined, probes=probes),
+            band.problem(known.model, refined=known.refined, scheme=known.scheme),
+            band.problem(self.model, refined=known.refined),
         )
 
     @cached_property
@@ -244,9 +259,6 @@ class Hidden:
         plain, rows = self._problems[0], trace.copy()
         if draw:
             self._exchange(rows, draw)
-        n = len(self._evaluator.band.observations)
-        for i in range(n):
-            rows[i::n] = rows[i]  # probes, which come after the trials, have the same torque
         observations = [
             replace(o, measured=o.measured + row[: o.measured.size])
             for o, row in zip(plain.observations, rows, strict=False)
