@@ -429,7 +429,7 @@ def test_a_torque_that_nothing_names_is_found_and_noise_is_not():
 
 @pytest.mark.parametrize("driven", ["torque", "angle"])
 def test_a_discrepancy_does_not_depend_on_where_the_parameters_were(driven):
-    """Those that are best without it, in the noise that there is without it, are not best beside it.
+    """Those that are best without it, in the noise that there is then, are not best beside it.
 
     Taken as if they were, something small that is unknown would seem less likely than it is.
     """
