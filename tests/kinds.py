@@ -56,6 +56,7 @@ GENERIC = {
     "sensor_delay": {"delay": 0.0033},
     "sensor_drift": {"bend": 0.1, "twist": 0.1},
     "sensor_lowpass": {"shape": 0.3},
+    "series_tendon": {"bypass_stiffness": 4.0, "bypass_damping": 0.2},
     "short_range_stiffness": {"renewal": 5.0, "sharpness": 3.0},
     "stiffening_hysteresis": {"renewal": 5.0, "sharpness": 3.0, "reversal": -0.5},
     "stretch_reflex": {

@@ -61,10 +61,10 @@ def kbi_transfer(K, B, I):
     return scipy.signal.lti([1.0], [I, B, K])
 
 
-def msm_transfer(K, B, I, K_SE):
-    """Eq. 1 of Kistemaker & Rozendaal (2011): angle over torque."""
+def msm_transfer(K, B, I, K_SE, K_P=0.0, B_P=0.0):
+    """Eq. 1 of Kistemaker & Rozendaal (2011), and a path beside the muscle: angle over torque."""
     numerator = [B, K + K_SE]
-    denominator = np.polyadd(np.polymul([B, K], [K_SE]), np.polymul([I, 0.0, 0.0], [B, K + K_SE]))
+    denominator = np.polyadd(np.polymul([B, K], [K_SE]), np.polymul([I, B_P, K_P], [B, K + K_SE]))
     return scipy.signal.lti(numerator, denominator)
 
 
@@ -75,8 +75,8 @@ def impulse_by_residues(system, t):
     return (np.exp(np.multiply.outer(t, poles)) @ residues).real
 
 
-def msm_by_ode(t, K, B, I, K_SE, torque, edges=(), impulse=0.0):
-    """Angle of the musculoskeletal model, as the third-order ODE of Eq. 1, integrated numerically.
+def msm_by_ode(t, K, B, I, K_SE, K_P, B_P, torque, edges=(), impulse=0.0):
+    """Angle of the musculoskeletal model, as the third-order ODE of its transfer function.
 
     With x defined by ``den(d/dt) x = torque`` the angle is ``num(d/dt) x``. The integration stops
     and starts again at `edges`; `torque` is continuous from the right.
@@ -84,7 +84,8 @@ def msm_by_ode(t, K, B, I, K_SE, torque, edges=(), impulse=0.0):
     lead = I * B
 
     def rates(time, x, drive):
-        rest = I * (K + K_SE) * x[2] + B * K_SE * x[1] + K * K_SE * x[0]
+        rest = (I * (K + K_SE) + B_P * B) * x[2] + (K * K_SE + K_P * (K + K_SE)) * x[0]
+        rest += (B * K_SE + K_P * B + B_P * (K + K_SE)) * x[1]
         return [x[1], x[2], (drive(time) - rest) / lead]
 
     stops = [t[0], *(e for e in edges if t[0] < e < t[-1]), t[-1]]

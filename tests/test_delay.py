@@ -183,7 +183,7 @@ def test_a_muscle_with_a_tendon_gets_the_joints_delayed_motion():
         ]
 
     expected = method_of_steps(rates, np.zeros(3), TIME, delay)[0]
-    values = np.array([stiffness, damping, I, 0.0, gain, delay, tendon])
+    values = np.array([stiffness, damping, I, 0.0, gain, delay, tendon, 0.0, 0.0])
     assert model.parameter_names[3] == "muscle_feedback.angle_gain"
     found = simulate(model, values, TORQUES["sinusoid"][0].drive(TIME), scheme=Scheme(2))
     agree(found, expected, 1e-7)

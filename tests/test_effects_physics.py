@@ -470,7 +470,7 @@ def test_short_range_stiffness_with_a_tendon_sees_the_muscles_motion():
         return [v, (applied(t) - tension) / I, w, w - growing * abs(z) / 0.03 - 20 * z]
 
     expected = by_ode(rates, np.zeros(4), TIME)[0]
-    values = np.array([K, B, I, 120.0, 100.0, 0.03, 1.0, 20.0])
+    values = np.array([K, B, I, 120.0, 0.0, 0.0, 100.0, 0.03, 1.0, 20.0])
     agree(simulate(model, values, SINUSOID), expected, 1e-6)
 
 

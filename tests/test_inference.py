@@ -30,6 +30,7 @@ from identifiability.inference.fitting import explore, fit, fit_simplex, startin
 from identifiability.inference.problem import Prior, Problem, observe
 from identifiability.inference.profiles import DROPS, profile
 from identifiability.inference.quadrature import quadrature
+from identifiability.inference.starts import plain_values
 from identifiability.joint.effects.series_tendon import SeriesTendon
 from identifiability.joint.model import KBI
 from identifiability.joint.response import drive_arrays, exact_response
@@ -468,9 +469,9 @@ def test_a_parameter_without_bounds_may_stay_open():
         model,
         [observe(drive, measured, noise)],
         prior,
-        {"K": 32.0, "B": 3.2, "I": 0.1},
+        plain_values(model) | {"K": 32.0, "B": 3.2, "I": 0.1},
     )
-    result = profile(base, values[3:], "series_tendon.stiffness")
+    result = profile(base, values[3:4], "series_tendon.stiffness")
     assert result.sides["95"][0] == "closed"
     assert result.sides["95"][1] in {"bound", "open"}
 
@@ -559,9 +560,12 @@ def test_quadrature_in_one_dimension():
 
 def test_quadrature_is_for_three_parameters_at_most():
     model = KBI() + SeriesTendon()
-    base = Problem(model, problem().observations, Prior.physical(model))
+    fixed = plain_values(model)
+    base = Problem(model, problem().observations, Prior.physical(model), fixed)
     with pytest.raises(InputError, match="takes one to three free parameters, found 4"):
-        quadrature(base, model.nominal)
+        quadrature(
+            base, base.free_vector(dict(zip(model.parameter_names, model.nominal, strict=True)))
+        )
 
 
 # Noise

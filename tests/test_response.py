@@ -50,7 +50,7 @@ TIME = np.linspace(0.0, 0.1, 101)
 DT = 1e-3
 MSM = KBI() + SeriesTendon()
 KBI_VALUES = np.array([54.98, 0.355, 0.0986])
-MSM_VALUES = np.array([32.0, 3.2, 0.1, 100.0])
+MSM_VALUES = np.array([32.0, 3.2, 0.1, 100.0, 5.0, 0.1])  # with a path beside the muscle
 
 REGIMES = {
     "underdamped": (54.98, 0.355, 0.0986),
@@ -148,7 +148,7 @@ def test_msm_is_its_third_order_ode(key):
 
 def test_msm_without_damping_is_two_springs_in_series():
     K, I, K_SE = 32.0, 0.1, 100.0
-    found = simulate(MSM, (K, 0.0, I, K_SE), Impulse().drive(TIME))
+    found = simulate(MSM, (K, 0.0, I, K_SE, 0.0, 0.0), Impulse().drive(TIME))
     agree(found, kbi_impulse(TIME, K * K_SE / (K + K_SE), 0.0, I), 1e-6)
 
 
@@ -195,7 +195,12 @@ row_of_torques = st.integers(0, 2**32 - 1).map(
     lambda seed: np.random.default_rng(seed).uniform(-10, 10, TIME.size)
 )
 msm_values = st.tuples(
-    st.floats(0, 300), st.floats(0.5, 50), st.floats(0.02, 1), st.floats(10, 2000)
+    st.floats(0, 300),
+    st.floats(0.5, 50),
+    st.floats(0.02, 1),
+    st.floats(10, 2000),
+    st.floats(0, 100),
+    st.floats(0, 2),
 )
 
 
@@ -236,7 +241,7 @@ def test_the_start_of_the_clock_does_not_matter():
 @pytest.mark.parametrize("scheme", [EXACT, Scheme(1)])
 def test_a_batch_equals_one_by_one(scheme):
     rng = np.random.default_rng(0)
-    batch = MSM_VALUES * rng.uniform(0.2, 5, (2, 3, 4))
+    batch = MSM_VALUES * rng.uniform(0.2, 5, (2, 3, MSM_VALUES.size))
     drive = Step().drive(TIME)
     found = simulate(MSM, batch, drive, scheme=scheme)
     assert found.shape == (2, 3, TIME.size)
@@ -246,7 +251,7 @@ def test_a_batch_equals_one_by_one(scheme):
 
 def test_wrong_shapes_are_refused():
     drive = Impulse().drive(TIME)
-    with pytest.raises(InputError, match=r"shape \(4,\), expected \(\.\.\., 3\)"):
+    with pytest.raises(InputError, match=r"shape \(6,\), expected \(\.\.\., 3\)"):
         simulate(KBI(), MSM_VALUES, drive)
 
 
@@ -275,7 +280,7 @@ def test_gradient_of_the_exact_response(model, values, key):
     else:
         drive = ALL_TORQUES[key].drive(TIME)
     found = exact_jacobian(model, jnp.asarray(values), drive)
-    size = np.maximum(values, [1.0, 0.1, 0.01, 1.0][: values.size])
+    size = np.maximum(values, [1.0, 0.1, 0.01, 1.0, 1.0, 0.1][: values.size])
     expected = central_difference(lambda x: simulate(model, x, drive), values, size, 1e-3)
     for column in range(values.size):
         agree(found[:, column], expected[:, column], 1e-7)
@@ -317,8 +322,8 @@ def test_torque_for_a_cubic_motion_is_exact(regime):
 
 def test_torque_of_a_held_angle_is_that_of_the_springs():
     held = imposed_motion(TIME, np.full(TIME.size, 0.2))
-    K, _, _, K_SE = MSM_VALUES
-    expected = np.full(TIME.size, 0.2 * K * K_SE / (K + K_SE))
+    K, _, _, K_SE, beside, _ = MSM_VALUES
+    expected = np.full(TIME.size, 0.2 * (K * K_SE / (K + K_SE) + beside))
     agree(simulate(MSM, MSM_VALUES, held), expected, 1e-10)
     agree(simulate(MSM, MSM_VALUES, held, scheme=Scheme(1)), expected, 1e-10)
 
@@ -346,11 +351,11 @@ def within_bounds(model):
 
 @settings(max_examples=60)
 @given(within_bounds(KBI()), within_bounds(MSM), st.sampled_from(sorted(PERTURBATIONS)))
-@example((0.0, 0.0, 0.005), (0.0, 0.0, 0.005, 20000.0), "impulse")
-@example((2000.0, 0.0, 0.005), (2000.0, 0.0, 0.005, 20000.0), "sinusoid")
-@example((0.0, 50.0, 0.005), (0.0, 50.0, 0.005, 1.0), "sinusoid")
-@example((2000.0, 50.0, 1.0), (2000.0, 1e-300, 1.0, 1.0), "step")
-@example((2000.0, 5e-324, 1.0), (0.0, 1e-10, 1.0, 1.0), "double_pulse")
+@example((0.0, 0.0, 0.005), (0.0, 0.0, 0.005, 20000.0, 0.0, 0.0), "impulse")
+@example((2000.0, 0.0, 0.005), (2000.0, 0.0, 0.005, 20000.0, 0.0, 0.0), "sinusoid")
+@example((0.0, 50.0, 0.005), (0.0, 50.0, 0.005, 1.0, 0.0, 0.0), "sinusoid")
+@example((2000.0, 50.0, 1.0), (2000.0, 1e-300, 1.0, 1.0, 0.0, 0.0), "step")
+@example((2000.0, 5e-324, 1.0), (0.0, 1e-10, 1.0, 1.0, 0.0, 0.0), "double_pulse")
 def test_no_response_is_ever_nan(kbi, msm, key):
     drive = PERTURBATIONS[key]().drive(TIME)
     largest = 20.0 * TIME[-1] / 0.005 * TIME[-1]  # that torque on the least inertia all the time
@@ -371,9 +376,9 @@ KBI_PROBLEM, MSM_PROBLEM = (
 
 @settings(max_examples=60)
 @given(within_bounds(KBI()), within_bounds(MSM))
-@example((0.0, 0.0, 0.005), (0.0, 0.0, 0.005, 20000.0))
-@example((10.0, 2.0, 0.1), (10.0, 2.0, 0.1, 20000.0))
-@example((2000.0, 0.0, 0.005), (2000.0, 1e-10, 0.005, 20000.0))
+@example((0.0, 0.0, 0.005), (0.0, 0.0, 0.005, 20000.0, 0.0, 0.0))
+@example((10.0, 2.0, 0.1), (10.0, 2.0, 0.1, 20000.0, 0.0, 0.0))
+@example((2000.0, 0.0, 0.005), (2000.0, 1e-10, 0.005, 20000.0, 0.0, 0.0))
 def test_no_derivative_is_ever_nan(kbi, msm):
     for problem, values in ((KBI_PROBLEM, kbi), (MSM_PROBLEM, msm)):
         assert np.all(np.isfinite(problem.jacobian(values)))

@@ -23,6 +23,7 @@ from identifiability.measurement.noise import Noise
 from identifiability.measurement.perturbations import Drive
 
 _DIFFERENCE, _SHARE = 1e-2, 1e-2  # step of differences: in slice widths, at most of the value
+_SMALL = 1e-3  # share of its range that is a usual value of a parameter whose nominal one is 0
 # Places of differences of fourth order, in steps, and their shares times 12.
 _CENTRAL = (-2, -1, 1, 2), (1, -8, 8, -1)
 _FORWARD = (0, 1, 2, 3, 4), (-25, 48, -36, 16, -3)
@@ -419,7 +420,9 @@ class Problem:
         x = np.asarray(x, float)
         steps = _DIFFERENCE / np.maximum(np.linalg.norm(self.jacobian(x), axis=0), 1e-12)
         # Where the data say little of a parameter; an inertia stays above 0.
-        size = np.where(self.lower > 0, 0.0, np.abs(self.model.nominal[list(self.free)]))
+        nominal = np.abs(self.model.nominal[list(self.free)])
+        usual = np.where(nominal > 0, nominal, _SMALL * (self.upper - self.lower))
+        size = np.where(self.lower > 0, 0.0, usual)
         most = _SHARE * np.maximum(np.abs(x), size)
         steps = np.where(most > 0, np.minimum(steps, most), steps)
 

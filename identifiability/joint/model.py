@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
@@ -104,6 +104,17 @@ class Model:
             raise InputError(f"the model has no effect '{key}', it has {list(self.effect_keys)}")
         return self.effects[self.effect_keys.index(key)]
 
+    def refinable(self, keys: Iterable[str]) -> tuple[str, ...]:
+        """Those of some effects that it has, and whose refining parameters show beside the others.
+
+        Parameters
+        ----------
+        keys : iterable of str
+            Of effects.
+        """
+        others = {key: [e for e in self.effects if e.key != key] for key in self.effect_keys}
+        return tuple(k for k in keys if k in others and self.effect(k).refinable(others[k]))
+
     @property
     def parameters(self) -> dict[str, Parameter]:
         """Parameters by full name: ``K``, ``B``, ``I``, then ``effect_key.name``."""
@@ -140,17 +151,21 @@ class Model:
     def vector(self, values: Mapping[str, float]) -> np.ndarray:
         """Parameter vector from values by name.
 
+        Those that only refine an effect may be left out: it then has its plain form.
+
         Raises
         ------
         InputError
             Where a name is missing or unknown.
         """
-        if set(values) != set(self.parameter_names):
+        plain = {name: p.plain for name, p in self.parameters.items() if p.plain is not None}
+        given = {**plain, **values}
+        if set(given) != set(self.parameter_names):
             raise InputError(
                 f"found values for {sorted(values)}, expected {list(self.parameter_names)}; "
                 "give exactly one value for each"
             )
-        return np.array([float(values[name]) for name in self.parameter_names])
+        return np.array([float(given[name]) for name in self.parameter_names])
 
     @property
     def linear(self) -> bool:

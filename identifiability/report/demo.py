@@ -55,7 +55,7 @@ def demo_record(recording: RecordingFit, findings: Findings) -> dict[str, Any]:
                     "effects": list(one.candidate.keys),
                     "error_fit": one.candidate.fitted.error,
                     "error_held_out": one.candidate.held_out.error,
-                    "parameters": dict(one.candidate.values),
+                    "parameters": {n: one.candidate.values[n] for n in one.candidate.free},
                     "sd": dict(one.sds),
                 }
                 for one in fitted_models(findings)

@@ -164,7 +164,7 @@ class _Climb:
             if key not in (*keys, *self.baseline.keys):
                 model = model.without(key)
         values = {name: final.values[name] for name in model.parameter_names}
-        refined = [key for key in final.refined if key in model.effect_keys]
+        refined = model.refinable(final.refined)
         return self.bench.finish(unfitted(model, values, refined))
 
     def _at_least(self, final: Candidate, rung: Candidate) -> Candidate:

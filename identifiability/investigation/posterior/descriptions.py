@@ -64,10 +64,10 @@ def descriptions_of(
             model = model.without(k)
         model = model + kind()
         rest = tuple(sorted(k for k in own if k not in replaced))
-        refined = tuple(k for k in found.refined if k in rest)
+        refined = model.refinable(k for k in found.refined if k in rest)
         starts = starting_values(model, _shared(found, model), wide=True)
         if any(p.plain is not None for p in kind.parameters):
-            plain = _renamed(found, replaced[0], key, model) or starts[0]
+            plain = renamed(found, replaced[0], key, model) or starts[0]
             free = [name for name, p in model.parameters.items() if p.plain is None]
             starts = [*refined_values(model, plain, free), *starts]
             refined = (*refined, key)
@@ -90,8 +90,22 @@ def _shared(found: Evaluated, model: Model) -> dict[str, float]:
     return {name: value for name, value in found.values.items() if name in names}
 
 
-def _renamed(found: Evaluated, replaced: str, key: str, model: Model) -> dict[str, float] | None:
-    """Values with those of the effect that a description is a richer form of."""
+def renamed(found: Evaluated, replaced: str, key: str, model: Model) -> dict[str, float] | None:
+    """Values of a model in which one effect is another's richer or plainer form.
+
+    Parameters
+    ----------
+    found : Evaluated
+    replaced, key : str
+        The effect in it, and the one in its place.
+    model : Model
+        With that one.
+
+    Returns
+    -------
+    dict or None
+        None where the other has a parameter that this one says nothing of.
+    """
     values = _shared(found, model)
     own: Mapping[str, float] = {
         name.split(".")[1]: value

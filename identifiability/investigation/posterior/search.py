@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 from identifiability.inference.starts import refined_values, starting_values
 from identifiability.investigation.fits.candidate import Candidate
+from identifiability.investigation.posterior.descriptions import renamed
 from identifiability.investigation.posterior.evidence import NOISE_SHARE, Evaluated, Evaluator
 from identifiability.investigation.posterior.kept import Evaluations
 from identifiability.investigation.posterior.probabilities import Probabilities
@@ -108,6 +109,7 @@ class _Search:
     enlarged: list[Keys] = field(default_factory=list)
     refined: set[Keys] = field(default_factory=set)
     reduced: set[Keys] = field(default_factory=set)
+    plainer: set[Keys] = field(default_factory=set)
     plain: dict[Keys, float] = field(default_factory=dict)
 
     def add(self, what: str, jobs: Sequence[Job]) -> None:
@@ -141,12 +143,18 @@ class _Search:
     def leave_out(self) -> None:
         """Weigh the most probable set without each of its effects, then the best of these sets so.
 
+        And with a plainer effect in the place of one that is a richer form of it, in which a fit
+        may have found values that it missed in the plainer one.
+
         Of a set that was reached by another way, or by values that were poorer, more may be made:
         what is the best of its size now is enlarged.
         """
         found = self.weighing.found
         for _ in range(_BACK):
             keys, before = max(found, key=self.weighing.score), set(self.enlarged)
+            if keys not in self.plainer:
+                self.plainer.add(keys)
+                self.add("plainer forms", self._plainer(keys))
             while len(keys) > 2 and keys not in self.reduced:
                 self.reduced.add(keys)
                 rests = _without_one(keys)
@@ -156,6 +164,20 @@ class _Search:
                     self.enlarge(keys)
             if before == set(self.enlarged):
                 break
+
+    def _plainer(self, keys: Keys) -> list[Job]:
+        """A set with a plainer effect in the place of each that is a richer form of one."""
+        larger, jobs = self.weighing.found[keys], []
+        for key in keys:
+            for other in larger.model.effect(key).refines:
+                if other not in self.library or other in larger.model.effect_keys:
+                    continue
+                model = larger.model.without(key) + self.library[other]()
+                values = renamed(larger, key, other, model)
+                if values is not None:
+                    forms = (other if k == key else k for k in larger.refined)
+                    jobs.append(Job(model, [values], model.refinable(forms), larger.weights))
+        return jobs
 
     def _rest(self, keys: Keys, rest: Keys) -> Job:
         """A set without one of its effects, from what is left of its values."""
@@ -167,7 +189,7 @@ class _Search:
         if rest not in self.weighing.found:
             joint = {name: larger.values[name] for name in ("K", "B", "I")}
             starts += starting_values(model, joint, most=_STARTS_BESIDE, wide=True)
-        refined = [key for key in larger.refined if key in model.effect_keys]
+        refined = model.refinable(larger.refined)
         return Job(model, starts, refined, larger.weights)
 
     def leaves_much(self) -> bool:
@@ -239,8 +261,8 @@ class _Search:
         starts = refined_values(plain.model, plain.values, free)
         return [
             Job(plain.model, starts, (*plain.refined, key), nested=plain)
-            for key in keys
-            if key not in plain.refined and plain.model.effect(key).has_refinement
+            for key in plain.model.refinable(keys)
+            if key not in plain.refined
         ]
 
     def _ranked(self, size: int) -> list[Keys]:

@@ -251,7 +251,7 @@ class Weighing:
 
         def alike(keys: Keys) -> Evaluated:
             known = self.found[keys]
-            forms = [k for k in lead.refined if k in keys and k not in known.refined]
+            forms = [k for k in known.model.refinable(lead.refined) if k not in known.refined]
             if forms:
                 shapes = {n: v for n, v in lead.values.items() if n.split(".")[0] in forms}
                 richer = self._evaluations.evaluate(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from abc import ABC
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Collection, Hashable, Mapping, Sequence
 from functools import cached_property
 from typing import Any, ClassVar, Literal, NamedTuple
 
@@ -83,6 +83,15 @@ class Effect(ABC):
     def has_refinement(self) -> bool:
         """Whether some of its parameters only refine it: see `Parameter.plain`."""
         return any(parameter.plain is not None for parameter in self.parameters)
+
+    def refinable(self, others: Collection[Effect]) -> bool:
+        """Whether what refines it can be told from other parameters, beside other effects.
+
+        Parameters
+        ----------
+        others : collection of Effect
+        """
+        return self.has_refinement
 
     def bypass(self, p: Sequence[Array], motion: Motion) -> ArrayLike:
         """Torque [Nm] beside muscle and elastic element, at the motion of the joint.

@@ -10,6 +10,7 @@ from jax import Array
 from jax.typing import ArrayLike
 
 from identifiability.joint.effects.base import Effect, Motion
+from identifiability.joint.effects.bypass import BYPASS, bypass_torque
 from identifiability.joint.parameters import Parameter
 
 _TYPICAL_VELOCITY = 1.0  # rad/s
@@ -25,8 +26,7 @@ class NonlinearTendon(Effect):
     a balanced pair; with h = 0 it is the linear tendon. It vanishes with infinite stiffness.
 
     Ligaments, capsule and skin act beside muscle and tendon: refined, it has such a path, of torque
-    :math:`K_P\theta + B_P\dot\theta`. Beside a linear tendon that path needs no name of its own: a
-    tendon with it is a Maxwell branch.
+    :math:`K_P\theta + B_P\dot\theta`.
     """
 
     key = "nonlinear_tendon"
@@ -70,28 +70,7 @@ class NonlinearTendon(Effect):
             description="difference between the two muscles' tendons",
             ends_form=True,
         ),
-        Parameter(
-            "bypass_stiffness",
-            r"K_\mathrm{P}",
-            "Nm/rad",
-            nominal=0.0,
-            lower=0.0,
-            upper=2000.0,
-            null=0.0,
-            plain=0.0,
-            description="stiffness of a path beside muscle and tendon",
-        ),
-        Parameter(
-            "bypass_damping",
-            r"B_\mathrm{P}",
-            "Nms/rad",
-            nominal=0.0,
-            lower=0.0,
-            upper=50.0,
-            null=0.0,
-            plain=0.0,
-            description="damping of a path beside muscle and tendon",
-        ),
+        *BYPASS,
     )
     references = (
         "Zajac 1989, Crit Rev Biomed Eng 17: 359-411 (exponential toe of the tendon)",
@@ -110,7 +89,7 @@ class NonlinearTendon(Effect):
 
     def bypass(self, p: Sequence[Array], motion: Motion) -> ArrayLike:
         """Torque [Nm] of what acts beside muscle and tendon."""
-        return p[3] * motion.angle + p[4] * motion.velocity
+        return bypass_torque(p, motion)
 
     def pace(self, values: Mapping[str, float]) -> float:
         """Rate by which a typical stretch quickens the muscle behind the tendon.
