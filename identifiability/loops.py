@@ -7,6 +7,7 @@ import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from threading import Lock
 from typing import Any, TypeVar, cast
 
 import numba
@@ -26,21 +27,50 @@ def compiled_loop(function: F) -> F:
         return cast(F, numba.njit(cache=cache, nogil=True, error_model="numpy")(function))
 
 
-def compiled_address(n_arguments: int) -> Callable[[Callable[..., None]], Any]:
-    """Compile a function at once, to be called at its address, and keep it on disk.
+class CompiledAddress:
+    """A function to be called at its address, compiled when it is first asked for that.
+
+    Parameters
+    ----------
+    function : callable
+    n_arguments : int
+        Of addresses that it takes.
+    """
+
+    def __init__(self, function: Callable[..., None], n_arguments: int) -> None:
+        self._function, self._n_arguments = function, n_arguments
+        self._lock = Lock()
+        self._compiled: Any = None
+
+    @property
+    def address(self) -> int:
+        """Where it is, for compiled loops."""
+        return int(self._compile().address)
+
+    @property
+    def ctypes(self) -> Callable[..., None]:
+        """As a function of Python."""
+        return cast(Callable[..., None], self._compile().ctypes)
+
+    def _compile(self) -> Any:
+        with self._lock:
+            if self._compiled is None:
+                kinds = numba.types.void(*[numba.types.voidptr] * self._n_arguments)
+                with _kept() as cache:
+                    compile_ = numba.cfunc(kinds, cache=cache, error_model="numpy")
+                    self._compiled = compile_(self._function)
+            return self._compiled
+
+
+def compiled_address(n_arguments: int) -> Callable[[Callable[..., None]], CompiledAddress]:
+    """Compile a function to be called at its address when it is first called; keep it on disk.
 
     Parameters
     ----------
     n_arguments : int
         Of addresses that it takes.
     """
-    kinds = numba.types.void(*[numba.types.voidptr] * n_arguments)
-
-    def compile_(function: Callable[..., None]) -> Any:
-        with _kept() as cache:
-            return numba.cfunc(kinds, cache=cache, error_model="numpy")(function)
-
-    return compile_
+    return lambda function: CompiledAddress(function, n_arguments)
 
 
 def stamp(package: Path = _PACKAGE) -> str:
