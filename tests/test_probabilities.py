@@ -37,7 +37,7 @@ from identifiability.investigation.posterior.discrepancy import _known, discrepa
 from identifiability.investigation.posterior.evidence import Evaluated
 from identifiability.investigation.posterior.growing import growing_noise
 from identifiability.investigation.posterior.laplace import log_volume
-from identifiability.investigation.posterior.noises import Weighed
+from identifiability.investigation.posterior.noises import Weighed, raw_residuals
 from identifiability.investigation.posterior.prior import Prior, priors_of
 from identifiability.investigation.posterior.reference import evaluator_of
 from identifiability.investigation.posterior.search import _Search
@@ -180,6 +180,22 @@ def test_the_volume_about_a_mode_is_that_of_quadrature():
     best = -np.linalg.solve(precision, [slope, 0.0])
     assert best[0] < 0
     assert gains[0] == pytest.approx(-0.5 * best @ precision @ best - slope * best[0])
+
+
+@pytest.mark.parametrize("key", ["coulomb_friction", "series_tendon"])
+def test_a_size_that_shows_in_nothing_has_all_its_room(key):
+    """Where a unit of it adds nothing its prior would have no end, and the evidence be no number."""
+    evaluator = evaluator_for(servo_trials(Joint(ANATOMY), torque_sd=0.1, n=2))
+    model = KBI() + EFFECTS[key]()
+    problem = evaluator.band.problem(model, probes=evaluator.reference.probes)
+    x = problem.free_vector(dict(zip(model.parameter_names, model.nominal, strict=True)))
+    place = problem.names.index(next(name for name in problem.names if name.startswith(key)))
+    raw, _ = raw_residuals(problem, evaluator.band, x)
+    for columns in raw:
+        columns[:, 1 + place] = 0.0
+    prior = priors_of(problem, x, raw, evaluator.band.scale, evaluator.joint_widths)[place]
+    room = model.parameters[problem.names[place]].upper if key == "coulomb_friction" else 1.0
+    assert prior.sd == room
 
 
 @pytest.mark.parametrize(

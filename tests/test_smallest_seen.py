@@ -103,20 +103,7 @@ def test_evidence_of_a_slow_trace_grows_less_than_its_square():
 
 DRAWS = 20
 
-# As they came out. A torque of any form, no larger than what counts as nothing, makes up for the
-# trace in some draws, and by how much is not foreseen well enough.
-FAR = {
-    ("quadratic_stiffness", "angle"): "19 of 20 at the stated size, 9 of 20 at a third",
-    ("sensor_delay", "torque"): "15 of 20 at the stated size, 2 of 20 at a third",
-    ("sensor_lowpass", "torque"): "15 of 20 at the stated size, 0 of 20 at a third",
-    ("short_range_stiffness", "angle"): "19 of 20 at the stated size, 9 of 20 at a third",
-}
-CASES = [
-    pytest.param(key, driven, marks=[pytest.mark.xfail(reason=why)] if why else [])
-    for key in EFFECTS
-    for driven in ("torque", "angle")
-    for why in [FAR.get((key, driven))]
-]
+CASES = [(key, driven) for key in EFFECTS for driven in ("torque", "angle")]
 
 
 @pytest.mark.long

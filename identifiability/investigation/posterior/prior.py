@@ -17,6 +17,7 @@ import numpy as np
 from identifiability.inference.problem import Problem
 
 _DECADE = 10.0  # ratio of bounds from which a shape's prior is uniform by ratios
+_NOTHING = 1e-12  # of the response, that a parameter adds over all its room
 _JOINT_RANGE = 4.0  # responses to K, B or I, over the measured one, that the prior spans
 
 
@@ -78,6 +79,12 @@ def _sizes(raw: Sequence[np.ndarray]) -> np.ndarray:
     return np.asarray(np.sqrt(np.mean(np.concatenate(raw)[:, 1:] ** 2, axis=0)))
 
 
+def _width(scale: float, size: float, room: float) -> float:
+    """Of a size's prior; all its room where a unit of it adds nothing there."""
+    room = min(room, 1 / _NOTHING)
+    return scale / size if size > _NOTHING * scale / room else room
+
+
 def priors_of(
     problem: Problem,
     x: np.ndarray,
@@ -116,9 +123,9 @@ def priors_of(
         elif null is None:
             out.append(Prior("uniform", float(high - low)))
         elif np.isfinite(null):
-            width = scale / max(float(size), 1e-300)
+            width = _width(scale, float(size), high - low)
             out.append(Prior("size", width, null, null in (low, high)))
         else:
-            width = scale / max(float(size * value**2), 1e-300)
+            width = _width(scale, float(size * value**2), 1 / max(low, _NOTHING))
             out.append(Prior("compliance", width, one_sided=True))
     return out
