@@ -184,7 +184,7 @@ def test_the_volume_about_a_mode_is_that_of_quadrature():
 
 @pytest.mark.parametrize("key", ["coulomb_friction", "series_tendon"])
 def test_a_size_that_shows_in_nothing_has_all_its_room(key):
-    """Where a unit of it adds nothing its prior would have no end, and the evidence be no number."""
+    """Where a unit of it adds nothing its prior would have no end, and no evidence be a number."""
     evaluator = evaluator_for(servo_trials(Joint(ANATOMY), torque_sd=0.1, n=2))
     model = KBI() + EFFECTS[key]()
     problem = evaluator.band.problem(model, probes=evaluator.reference.probes)
