@@ -1,9 +1,6 @@
 """Compiled loops: what is kept of them belongs to the sources of all."""
 
-import os
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import numba
@@ -53,18 +50,3 @@ def test_without_a_folder_they_are_compiled_all_the_same(tmp_path, monkeypatch):
 
     assert twice(np.ones(2)).tolist() == [2.0, 2.0]
     assert before == numba.config.CACHE_DIR
-
-
-def test_bad_input_waits_for_no_compiler(tmp_path):
-    """Of a command that cannot be run nothing was compiled: that takes most of a minute."""
-    told = subprocess.run(
-        [sys.executable, "-m", "identifiability", "fit", "nowhere", "--out", str(tmp_path / "out")],
-        env=os.environ | {"XDG_CACHE_HOME": str(tmp_path), "NUMBA_CACHE_DIR": ""},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert told.returncode == 2
-    assert "nowhere" in told.stderr
-    kept = list((tmp_path / "identifiability" / "loops" / stamp()).rglob("*"))
-    assert [path for path in kept if path.is_file()] == []

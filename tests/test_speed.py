@@ -27,9 +27,12 @@ def test_recordings_are_noisy_in_both_channels_and_alike_by_alike_seeds(imposed)
     assert not np.array_equal(trials, recordings(size, 4))
 
 
-def test_a_command_that_fails_is_quoted(tmp_path):
+def test_a_command_that_fails_is_quoted_and_waits_for_no_compiler(tmp_path):
+    """Compiling takes most of a minute: of a command that cannot be run nothing was."""
     with pytest.raises(RuntimeError, match=r"fit nowhere --out out: .*nowhere"):
         timed(["fit", "nowhere", "--out", "out"], tmp_path, tmp_path / "cache")
+    assert (tmp_path / "cache").is_dir()
+    assert not [path for path in (tmp_path / "cache").rglob("*.nb*") if path.is_file()]
 
 
 @pytest.mark.long
