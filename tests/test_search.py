@@ -69,3 +69,29 @@ def test_each_effect_of_the_most_probable_set_is_left_out(driven):
     assert len(pairs) == 3
     assert max(weighing.found, key=weighing.score) == truth
     assert truth in search.enlarged
+
+
+def test_a_path_beside_a_linear_tendon_shows_where_the_muscle_has_an_effect():
+    linear, stiffening = EFFECTS["series_tendon"](), EFFECTS["nonlinear_tendon"]()
+    hill = EFFECTS["hill_force_velocity"]()
+    assert (KBI() + linear).refinable(["series_tendon", "gravity"]) == ()
+    assert (KBI() + linear + EFFECTS["gravity"]()).refinable(["series_tendon"]) == ()
+    assert (KBI() + linear + hill).refinable(["series_tendon"]) == ("series_tendon",)
+    assert (KBI() + stiffening).refinable(["nonlinear_tendon"]) == ("nonlinear_tendon",)
+
+
+@pytest.mark.parametrize("driven", ["torque", "angle"])
+def test_a_plainer_effect_is_weighed_from_the_values_of_its_richer_form(driven):
+    keys = ("hill_force_velocity", "nonlinear_tendon", "series_tendon")
+    library = {key: EFFECTS[key] for key in keys}
+    study = study_of_a_pair(driven, keys)
+    weighing = Weighing(study._evaluator(1), library, study.baseline.keys, study.bench.rules)
+    search = _Search(weighing, library, silent)
+    model = KBI() + EFFECTS[keys[0]]() + EFFECTS[keys[1]]()
+    search.add("two", [Job(model, [nested_values(model, JOINT)], ["nonlinear_tendon"])])
+    (job,) = search._plainer(keys[:2])
+    assert job.model.effect_keys == ("hill_force_velocity", "series_tendon")
+    assert tuple(job.refined) == ("series_tendon",)
+    (values,), richer = job.starts, weighing.found[keys[:2]].values
+    for name in ("stiffness", "bypass_stiffness", "bypass_damping"):
+        assert values[f"series_tendon.{name}"] == richer[f"nonlinear_tendon.{name}"]

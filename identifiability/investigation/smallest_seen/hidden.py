@@ -145,8 +145,7 @@ class Hidden:
         if trace is None:
             return None
         known, band = self._without, self._evaluator.band
-        rows = trace[1][: len(band.observations), :, None]
-        white = known.weights.whitened(band.stretches(rows))[:, 0]
+        white = known.weights.whitened(band.stretches(trace[1][:, :, None]))[:, 0]
         shared = known.directions.T @ white
         left = white @ white - shared @ np.linalg.solve(known.precision, shared)
         return float(np.sqrt(max(left, 0.0)))
@@ -198,9 +197,9 @@ class Hidden:
         base = known.model.model.effect_keys
         weighing = Weighing(known.evaluator, known.library, base, known.rules)
         weighing.found = {(): smaller, (self.key,): larger}
-        rows = weighing.posterior().rows
-        there = sum(row.probability for row in rows if row.effects == (self.key,))
-        else_ = sum(row.probability for row in rows if row.effects != (self.key,))
+        posterior = weighing.posterior()
+        there = posterior.of([self.key])
+        else_ = sum(row.probability for row in posterior.rows if row.effects != (self.key,))
         asked = known.rules.claimed / (1 - known.rules.claimed)
         return float(np.log(max(there, _LEAST)) - np.log(max(else_, _LEAST)) - np.log(asked))
 
@@ -248,7 +247,7 @@ class Hidden:
             having = having.with_scheme(having.integration.improved(error))
         rows = plain.by_observation(after - before)
         if self._has_corners:
-            for row, change in zip(rows, self._filtered(values), strict=False):
+            for row, change in zip(rows, self._filtered(values), strict=True):
                 row[: change.size] = change
             if not np.all(np.isfinite(rows)):
                 return None
@@ -261,7 +260,7 @@ class Hidden:
             self._exchange(rows, draw)
         observations = [
             replace(o, measured=o.measured + row[: o.measured.size])
-            for o, row in zip(plain.observations, rows, strict=False)
+            for o, row in zip(plain.observations, rows, strict=True)
         ]
         return replace(plain, observations=observations), replace(having, observations=observations)
 
