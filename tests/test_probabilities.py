@@ -36,7 +36,7 @@ from identifiability.investigation.posterior.descriptions import descriptions_of
 from identifiability.investigation.posterior.discrepancy import _known, discrepancy_of
 from identifiability.investigation.posterior.evidence import Evaluated
 from identifiability.investigation.posterior.growing import growing_noise
-from identifiability.investigation.posterior.laplace import log_volume
+from identifiability.investigation.posterior.laplace import log_volume, moved_by
 from identifiability.investigation.posterior.noises import Weighed, raw_residuals
 from identifiability.investigation.posterior.prior import Prior, priors_of
 from identifiability.investigation.posterior.reference import evaluator_of
@@ -182,6 +182,39 @@ def test_the_volume_about_a_mode_is_that_of_quadrature():
     assert gains[0] == pytest.approx(-0.5 * best @ precision @ best - slope * best[0])
 
 
+def test_a_prior_that_speaks_against_the_best_values_moves_the_mode():
+    """Likelihood and prior both normal, with other means: the integral is known."""
+    prior = Prior("size", 30.0, one_sided=True)
+    precision, best = np.array([[0.02, 0.3], [0.3, 9.0]]), np.array([40.0, 1.0])
+
+    def density(y, x):
+        off = np.array([x, y]) - best
+        return np.exp(prior.log_density(x) - 0.5 * off @ precision @ off)
+
+    exact, _ = integrate.dblquad(density, 0, 120, -6, 6)
+    precision += np.diag([prior.sd**-2, 0.0])
+    pull = np.array([prior.pull(best[0]), 0.0])
+    volume, _, _ = log_volume(precision, -pull, np.zeros(2, bool))
+    taken = prior.log_density(best[0]) + volume
+    assert taken + moved_by(pull, precision) == pytest.approx(np.log(exact), abs=1e-4)
+    assert moved_by(pull, precision) > 0.05
+    assert moved_by(1e3 * pull, precision) == 0.0
+
+
+def test_a_tendon_hardens_as_tendons_do():
+    """Not to a wall: what joints have little of is less probable the more it is."""
+    evaluator = evaluator_for(servo_trials(Joint(ANATOMY), torque_sd=0.1, n=2))
+    model = KBI() + EFFECTS["nonlinear_tendon"]()
+    problem = evaluator.band.problem(model, probes=evaluator.reference.probes)
+    x = problem.free_vector(dict(zip(model.parameter_names, model.nominal, strict=True)))
+    raw, _ = raw_residuals(problem, evaluator.band, x)
+    priors = priors_of(problem, x, raw, evaluator.band.scale, evaluator.joint_widths)
+    prior = priors[problem.names.index("nonlinear_tendon.hardening")]
+    total = integrate.quad(lambda h: np.exp(prior.log_density(h)), 0, 200)[0]
+    assert total == pytest.approx(1.0)
+    assert prior.log_density(15.0) - prior.log_density(100.0) > 5.0
+
+
 @pytest.mark.parametrize("key", ["coulomb_friction", "series_tendon"])
 def test_a_size_that_shows_in_nothing_has_all_its_room(key):
     """Where a unit of it adds nothing its prior would have no end, and no evidence be a number."""
@@ -204,6 +237,7 @@ def test_a_size_that_shows_in_nothing_has_all_its_room(key):
         ("maxwell_branch", MaxwellBranch(15.0, 0.04)),
         ("cubic_stiffness", MaxwellBranch(15.0, 0.04)),
         ("quadratic_stiffness", MaxwellBranch(15.0, 0.04)),
+        ("nonlinear_tendon", MaxwellBranch(15.0, 0.04)),
         ("sensor_delay", SensorDelay(0.006)),
     ],
 )

@@ -45,6 +45,9 @@ class Parameter:
     plain : float or None
         Value that gives the effect its plain form, for a parameter that only refines it; ``None``
         for a parameter that the effect cannot do without.
+    spread : float or None
+        Standard deviation about the lower bound, of what joints have little of; ``None`` where all
+        that the bounds allow is as likely.
     is_delay : bool
         Whether it is a delay, along which a fit's cost is wavy: fits go over its whole range.
     ends_form : bool
@@ -61,6 +64,7 @@ class Parameter:
     description: str
     null: float | None = None
     plain: float | None = None
+    spread: float | None = None
     is_delay: bool = False
     ends_form: bool = False
 

@@ -19,7 +19,7 @@ from identifiability.inference.problem import Problem
 from identifiability.inference.starts import nested_values
 from identifiability.investigation.posterior.band import Band
 from identifiability.investigation.posterior.beginnings import Beginnings
-from identifiability.investigation.posterior.laplace import less, log_volume
+from identifiability.investigation.posterior.laplace import less, log_volume, moved_by
 from identifiability.investigation.posterior.noises import (
     Reference,
     Weighed,
@@ -355,7 +355,9 @@ class Evaluator:
         if probe is not None and probe[:, 0] @ probe[:, 0] < weighed.most_taken:
             precision = less(precision, probe[:, 1:] * turn)
             gradient = gradient - probe[:, 1:].T @ probe[:, 0]
-        gradient = gradient * turn
+        # The likelihood's own mode is given; the prior moves it, to second order.
+        pull = np.array([p.pull(value) for p, value in zip(priors, x, strict=True)])
+        gradient = gradient * turn - pull
         at_lower, at_upper = touching(x, problem.lower, problem.upper)
         at_bound = at_lower | at_upper
         volume, inside, gains = log_volume(precision, gradient, at_bound)
@@ -368,6 +370,7 @@ class Evaluator:
             -share / NOISE_SHARE
             + sum(p.log_density(value) for p, value in zip(priors, x, strict=True))
             + volume
+            + moved_by(pull[inside], precision[np.ix_(inside, inside)])
             + log_likelihood
         )
         turns = np.diag(turn)[:, inside]

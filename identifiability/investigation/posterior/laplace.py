@@ -7,6 +7,7 @@ import scipy.linalg
 import scipy.special
 
 _LEAST_EIGENVALUE = 1e-12
+_FAR = 50.0  # nats, ten standard deviations of a prior
 _LEAST_LEFT = 0.1  # share of a precision that noise of the angle leaves
 
 
@@ -18,6 +19,17 @@ def less(precision: np.ndarray, probe: np.ndarray) -> np.ndarray:
     left, vectors = scipy.linalg.eigh(precision - probe.T @ probe, precision)
     turned = precision @ vectors
     return np.asarray(turned * np.maximum(left, _LEAST_LEFT) @ turned.T)
+
+
+def moved_by(pull: np.ndarray, precision: np.ndarray) -> float:
+    """How much higher [nats] a posterior is at its mode than where it has this slope.
+
+    Nothing where that is so far that no straight line leads there.
+    """
+    size = np.sqrt(np.diag(precision))
+    scaled, steps = precision / np.outer(size, size), pull / size
+    gained = 0.5 * float(steps @ np.linalg.lstsq(scaled, steps, rcond=1e-10)[0])
+    return gained if gained < _FAR else 0.0
 
 
 def log_volume(

@@ -2,8 +2,8 @@
 
 K, B and I may be anything that makes up to four times the measured response, alike in all models;
 an effect most likely makes a response no larger than what was measured; its shape is anything
-between the physical bounds, by ratios where these span more than one decade. A stiffness that
-vanishes as it grows counts by its compliance.
+between the physical bounds, by ratios where these span more than one decade; of what joints have
+little of, more is less likely. A stiffness that vanishes as it grows counts by its compliance.
 """
 
 from __future__ import annotations
@@ -61,6 +61,10 @@ class Prior:
             return float(np.log(max(value, 1e-300) / self.null))
         return value - self.null if self.form == "size" else 0.0
 
+    def pull(self, value: float) -> float:
+        """Derivative of the logarithm of the density, by the coordinate."""
+        return 0.0 if self.form in ("uniform", "ratio") else -self.distance(value) / self.width**2
+
     def log_density(self, value: float) -> float:
         """Logarithm of the density by the coordinate."""
         if self.form in ("uniform", "ratio"):
@@ -111,13 +115,16 @@ def priors_of(
     for name, value, low, high, size in zip(
         problem.names, x, problem.lower, problem.upper, _sizes(raw), strict=True
     ):
-        null = problem.model.parameters[name].null
+        parameter = problem.model.parameters[name]
+        null = parameter.null
         if name in ("K", "B", "I"):
             width = float(joint_widths[("K", "B", "I").index(name)])
             out.append(Prior("uniform", width))
         elif name in typical:
             median, spread = typical[name]
             out.append(Prior("typical", spread, median))
+        elif parameter.spread is not None:
+            out.append(Prior("size", parameter.spread, parameter.lower, one_sided=True))
         elif null is None and low > 0 and high > _DECADE * low:
             out.append(Prior("ratio", float(np.log(high / low))))
         elif null is None:

@@ -15,6 +15,9 @@ from identifiability.joint.parameters import Parameter
 
 _TYPICAL_VELOCITY = 1.0  # rad/s
 _TYPICAL = 0.05  # rad, a stretch that tendons undergo
+_HARDENING = 30.0
+"""Spread [1/rad]: the toe's 100 to 150 by strain (Zajac 1989) times moment arm over slack length is
+25, 16, 18, 15, 8 and 4 of soleus, gastrocnemius, biceps, triceps, wrist and finger."""
 
 
 class NonlinearTendon(Effect):
@@ -57,7 +60,8 @@ class NonlinearTendon(Effect):
             "1/rad",
             nominal=10.0,
             lower=0.0,
-            upper=200.0,
+            upper=60.0,
+            spread=_HARDENING,
             description="relative growth of tension with stretch",
         ),
         Parameter(
