@@ -87,7 +87,7 @@ from .measurement.perturbations import (
     prbs,
 )
 from .measurement.prepared import Lead, Prepared, Treatment
-from .measurement.readers import read_trial
+from .measurement.readers.trial_file import read_trial
 from .measurement.trials import Trial, onsets
 from .plots.corner import corner_figure
 from .plots.investigation import alone_figure, ladder_figure, widths_figure

@@ -1,5 +1,9 @@
+import contextlib
 import hashlib
 import math
+import os
+import signal
+import time
 import warnings
 from pathlib import Path
 
@@ -11,13 +15,11 @@ from hypothesis import strategies as st
 from scipy import io
 
 from identifiability.errors import InputError
-from identifiability.measurement.readers import (
-    READERS,
-    Table,
-    parse_columns,
-    read_trial,
-    readable_files,
-)
+from identifiability.measurement.readers import apart, extras, matlab
+from identifiability.measurement.readers.columns import parse_columns
+from identifiability.measurement.readers.formats import READERS, readable_files
+from identifiability.measurement.readers.tables import Table
+from identifiability.measurement.readers.trial_file import read_trial
 from identifiability.measurement.trials import Trial, onsets, quiet_lead
 from identifiability.measurement.units import parse_unit
 
@@ -630,6 +632,180 @@ def test_a_damaged_matlab_file(save, kept):
     path.write_bytes(path.read_bytes()[:kept])
     with pytest.raises(InputError, match=r"cannot be read as a MATLAB file|no numeric matrix"):
         read_trial(path, columns=OF_MATRIX, rate=1000.0)
+
+
+# Parsers in a process of their own
+
+
+def aborts(path):
+    os.abort()
+
+
+def crashes(path):
+    os.kill(os.getpid(), signal.SIGSEGV)
+
+
+def raises(path):
+    raise KeyError(path)
+
+
+def fills_the_memory(path):
+    return bytearray(1 << 40)
+
+
+def never_ends(path):
+    time.sleep(60)
+
+
+@pytest.mark.parametrize(
+    ("parser", "sentence"),
+    [
+        (aborts, r"as such a file \(its parser breaks down\)"),
+        (crashes, "its parser breaks down"),
+        (raises, r"as such a file \(KeyError\)"),
+        (fills_the_memory, r"\(MemoryError\)"),
+        (never_ends, "it was not done within 1 s"),
+    ],
+)
+def test_a_parser_that_breaks_down_is_one_sentence(tmp_path, monkeypatch, parser, sentence):
+    if parser is never_ends:
+        monkeypatch.setattr(apart, "SECONDS", 1.0)
+    path = written(tmp_path, "x")
+    with pytest.raises(InputError, match=sentence) as caught:
+        apart.apart(parser, path, "such a file")
+    assert "\n" not in str(caught.value)
+    monkeypatch.undo()
+    assert apart.apart(Path.read_text, path, "text") == "x"  # the next file is read
+
+
+def save_c3d(path, labels=("angle", "torque", "emg"), units=("deg", "Nm", "V")):
+    import ezc3d
+
+    file = ezc3d.c3d()
+    file["parameters"]["POINT"]["RATE"]["value"] = [100]
+    file["parameters"]["ANALOG"]["RATE"]["value"] = [1000]
+    file["parameters"]["ANALOG"]["LABELS"]["value"] = labels
+    file["parameters"]["ANALOG"]["UNITS"]["value"] = units
+    file["data"]["points"] = np.zeros((4, 0, TIME.size // 10))
+    file["data"]["analogs"] = np.stack([np.degrees(ANGLE), TORQUE, 0 * TIME])[None]
+    file.write(str(path))
+    return path
+
+
+def assert_nearly(trial):
+    """C3D files have single precision."""
+    np.testing.assert_allclose(trial.time, TIME, atol=1e-9)
+    np.testing.assert_allclose(trial.torque, TORQUE, rtol=1e-6)
+    np.testing.assert_allclose(trial.angle, ANGLE, rtol=1e-6)
+
+
+def test_analog_channels_of_c3d(tmp_path):
+    assert_nearly(read_trial(save_c3d(tmp_path / "trial.c3d")))
+    volts = save_c3d(tmp_path / "volts.c3d", units=("V", "V", "V"))
+    with pytest.raises(InputError, match="does not tell which column is torque and which is angle"):
+        read_trial(volts)
+    named = {"time": ("time (s)", "s"), "angle": ("angle (V)", "deg"), "torque": (2, "Nm")}
+    assert_nearly(read_trial(volts, columns=named))
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_a_damaged_c3d(tmp_path, seed):
+    path = save_c3d(tmp_path / "trial.c3d")
+    rng, content = np.random.default_rng(seed), bytearray(path.read_bytes())
+    if seed % 2:
+        del content[rng.integers(len(content)) :]
+    for place in rng.integers(0, len(content), 20):
+        content[place] = rng.integers(256)
+    path.write_bytes(content)
+    with contextlib.suppress(InputError):
+        assert np.isfinite(read_trial(path).torque).all()
+
+
+def test_groups_of_tdms(tmp_path):
+    from nptdms import ChannelObject, TdmsWriter
+
+    path = tmp_path / "trial.tdms"
+    clock = {"wf_increment": 1e-3}
+    with TdmsWriter(str(path)) as file:
+        file.write_segment(
+            [
+                ChannelObject("rig", "angle", np.degrees(ANGLE), clock | {"unit_string": "deg"}),
+                ChannelObject("rig", "torque", TORQUE, clock | {"NI_UnitDescription": "Nm"}),
+                ChannelObject("log", "temperature", TIME[:3], {}),
+            ]
+        )
+    with pytest.raises(InputError, match=r"name a variable; the file holds log .* rig"):
+        read_trial(path)
+    assert_same(read_trial(path, variable="rig"))
+    path.write_bytes(path.read_bytes()[:100])
+    with pytest.raises(InputError, match=r"cannot be read as TDMS|no numeric"):
+        read_trial(path, variable="rig")
+
+
+def save_bids(folder, units=("deg", "Nm"), rate='{"SamplingFrequency": 1000}'):
+    stem = "sub-01_task-servo_tracksys-motor"
+    rows = np.stack([np.degrees(ANGLE), TORQUE], axis=1)
+    np.savetxt(folder / f"{stem}_motion.tsv", rows, delimiter="\t")
+    names = [f"{n}\tANY\t{u}" for n, u in zip(("knee_angle", "knee_torque"), units, strict=True)]
+    written(folder, "name\ttype\tunits\n" + "\n".join(names), f"{stem}_channels.tsv")
+    if rate:
+        written(folder, rate, f"{stem}_motion.json")
+    return folder / f"{stem}_motion.tsv"
+
+
+def test_bids_motion_with_its_sidecars(tmp_path):
+    path = save_bids(tmp_path)
+    trial = read_trial(path)
+    assert_same(trial)
+    assert "1000 Hz by sub-01_task-servo_tracksys-motor_motion.json" in trial.notes
+    assert readable_files([tmp_path]) == [path]
+
+
+@pytest.mark.parametrize(
+    ("how", "sentence"),
+    [
+        ({"rate": "{}"}, "tells no SamplingFrequency above 0"),
+        ({"rate": '{"SamplingFrequency": "fast"}'}, "tells no SamplingFrequency above 0"),
+        ({"rate": ""}, "does not tell which column is time"),
+        ({"units": ("deg", "n/a")}, "does not tell which column is torque"),
+        ({}, "lists 1 channels, where the file has 2 columns"),
+    ],
+)
+def test_sidecars_that_do_not_tell(tmp_path, how, sentence):
+    path = save_bids(tmp_path, **how)
+    if not how:
+        written(tmp_path, "name\tunits\nangle\tdeg\n", path.name.replace("motion", "channels"))
+    with pytest.raises(InputError, match=sentence):
+        read_trial(path)
+
+
+@pytest.mark.parametrize("version", ["v7", "v7.3"])
+def test_tables_in_matlab_files(tmp_path, version):
+    import matio
+    import pandas as pd
+
+    frame = pd.DataFrame({"time_s": TIME, "torque_Nm": TORQUE, "angle_deg": np.degrees(ANGLE)})
+    path, both = tmp_path / "table.mat", tmp_path / "both.mat"
+    matio.save_to_mat(str(path), {"trial": frame}, version=version)
+    assert_same(read_trial(path))
+    # What is there without any object is read whether or not these can be.
+    matio.save_to_mat(str(both), {"trial": frame, "z": MATRIX}, version=version)
+    assert_same(read_trial(both, columns=OF_MATRIX, rate=1000.0))
+    assert_same(read_trial(both, variable="trial"))
+
+
+@pytest.mark.parametrize(
+    ("library", "suffix"), [("matio", "mat"), ("ezc3d", "c3d"), ("nptdms", "tdms")]
+)
+def test_a_library_that_is_not_there(tmp_path, monkeypatch, library, suffix):
+    path = tmp_path / f"trial.{suffix}"
+    path.write_bytes(b"x")
+    for module in (extras, matlab):
+        monkeypatch.setattr(module, "is_installed", lambda name: name != library)
+    if library == "matio":
+        monkeypatch.setattr(matlab, "apart", lambda *_: ({}, {"": {}}))
+    with pytest.raises(InputError, match=r"pip install 'identifiability\[readers\]'"):
+        read_trial(path)
 
 
 # Sign

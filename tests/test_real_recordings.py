@@ -6,7 +6,8 @@ from identifiability.investigation.session import Investigation
 from identifiability.joint.effects import EFFECTS
 from identifiability.joint.model import KBI
 from identifiability.measurement.filtering import noise_cutoff
-from identifiability.measurement.readers import parse_columns, read_trial
+from identifiability.measurement.readers.columns import parse_columns
+from identifiability.measurement.readers.trial_file import read_trial
 
 pytestmark = pytest.mark.recordings
 

@@ -13,7 +13,8 @@ from pathlib import Path
 from typing import Any, Literal
 
 from identifiability.errors import InputError
-from identifiability.measurement.readers import parse_columns, read_trial
+from identifiability.measurement.readers.columns import parse_columns
+from identifiability.measurement.readers.trial_file import read_trial
 from identifiability.measurement.trials import Trial
 from identifiability.provenance import code_fingerprint
 

@@ -74,7 +74,7 @@ def run(options: argparse.Namespace) -> int:
     from identifiability.files import output_folder
     from identifiability.investigation.fits.kept import OnDisk
     from identifiability.investigation.investigate import investigate
-    from identifiability.measurement.readers import readable_files
+    from identifiability.measurement.readers.formats import readable_files
     from identifiability.report.investigation import investigation_text, write_investigation
 
     check_seed(options.seed)

@@ -109,7 +109,7 @@ def add_file_options(parser: argparse.ArgumentParser) -> None:
         nargs="+",
         type=Path,
         metavar="FILE",
-        help="text, MATLAB .mat, HDF5 .h5, OpenSim .sto or .mot, or folders of them",
+        help="text, .mat, .h5, .sto or .mot, _motion.tsv, .c3d, .tdms, or folders of them",
     )
     parser.add_argument(
         "--columns",
@@ -121,7 +121,7 @@ def add_file_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--variable",
         metavar="NAME",
-        help="variable of a .mat file, group or dataset of an .h5 file",
+        help="variable of a .mat file, group of an .h5 or .tdms file",
     )
     parser.add_argument("--rate", type=float, metavar="HZ", help="where there is no time column")
     parser.add_argument(
@@ -156,7 +156,9 @@ def add_lowpass_option(parser: argparse.ArgumentParser) -> None:
 
 def read_trials(options: argparse.Namespace, files: Sequence[Path] | None = None) -> list[Trial]:
     """Read the trials that the file options name, or those in other files, read alike."""
-    from identifiability.measurement.readers import parse_columns, read_trial, readable_files
+    from identifiability.measurement.readers.columns import parse_columns
+    from identifiability.measurement.readers.formats import readable_files
+    from identifiability.measurement.readers.trial_file import read_trial
 
     columns = parse_columns(options.columns) if options.columns else None
     return [

@@ -14,7 +14,7 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 from identifiability.files import write_text
-from identifiability.measurement.readers import read_trial
+from identifiability.measurement.readers.trial_file import read_trial
 from identifiability.measurement.trials import Trial
 
 K_CE, B_CE, K_SE, INERTIA = 32.0, 3.2, 100.0, 0.1

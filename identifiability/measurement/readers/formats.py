@@ -1,4 +1,4 @@
-"""The formats that are read, by suffix: a reader is one file and one line here."""
+"""The formats that are read, by how files' names end: a reader is one file and one line here."""
 
 from __future__ import annotations
 
@@ -6,10 +6,13 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from identifiability.errors import InputError
+from identifiability.measurement.readers.bids import MOTION, SIDECARS, read_bids
+from identifiability.measurement.readers.c3d import read_c3d
 from identifiability.measurement.readers.hdf5 import read_hdf5
 from identifiability.measurement.readers.matlab import read_matlab
 from identifiability.measurement.readers.opensim import read_opensim
 from identifiability.measurement.readers.tables import Options, Table
+from identifiability.measurement.readers.tdms import read_tdms
 from identifiability.measurement.readers.text import read_text
 
 Reader = Callable[[Path, Options], Table]
@@ -30,8 +33,11 @@ READERS: dict[str, Reader] = {
     ".mot": read_opensim,
     ".h5": read_hdf5,
     ".hdf5": read_hdf5,
+    ".c3d": read_c3d,
+    ".tdms": read_tdms,
+    MOTION: read_bids,
 }
-"""Suffix in lower case -> reader.
+"""End of the name in lower case -> reader; the longest that fits.
 
 Examples
 --------
@@ -44,6 +50,16 @@ A format of one's own, here of numbers in pairs, angle [deg] and torque [Nm]:
 >>> READERS[".pairs"] = read_pairs                            # doctest: +SKIP
 >>> trial = read_trial("knee.pairs", rate=1000)               # doctest: +SKIP
 """
+
+
+def reader_of(path: Path) -> Reader | None:
+    """What reads a file, by its name."""
+    ends = [end for end in READERS if path.name.lower().endswith(end)]
+    return READERS[max(ends, key=len)] if ends else None
+
+
+def _is_trial(path: Path) -> bool:
+    return reader_of(path) is not None and not path.name.lower().endswith(SIDECARS)
 
 
 def readable_files(paths: Sequence[Path]) -> list[Path]:
@@ -59,7 +75,7 @@ def readable_files(paths: Sequence[Path]) -> list[Path]:
         if not path.is_dir():
             found.append(path)
             continue
-        inside = sorted(f for f in path.iterdir() if f.suffix.lower() in READERS and f.is_file())
+        inside = sorted(f for f in path.iterdir() if _is_trial(f) and f.is_file())
         if not inside:
             raise InputError(
                 f"found none of {', '.join(READERS)} in the folder {path}; name files, one a trial"

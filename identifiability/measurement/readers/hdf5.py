@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from identifiability.errors import InputError
 from identifiability.measurement.readers.tables import Options, Table
-from identifiability.measurement.readers.variables import Variables, is_matrix, table_of
+from identifiability.measurement.readers.variables import Variables, is_matrix, named, table_of
 
 _UNITS = ("units", "unit", "Units", "Unit")
 
@@ -47,7 +47,7 @@ def _variables(file: h5py.File) -> Variables:
         matrix: NDArray[Any] = np.atleast_2d(read).T if read.ndim == 1 else read
         if not is_matrix(matrix):
             return
-        own += _unit(value)
+        own = named(own, _unit(value))
         if not group:
             variables[own] = matrix
         elif min(matrix.shape) > 1:
@@ -63,5 +63,4 @@ def _variables(file: h5py.File) -> Variables:
 
 def _unit(value: h5py.Dataset) -> str:
     found = next((value.attrs[key] for key in _UNITS if key in value.attrs), "")
-    text = found.decode() if isinstance(found, bytes) else str(found)
-    return f" ({text})" if text else ""
+    return found.decode() if isinstance(found, bytes) else str(found)

@@ -12,17 +12,22 @@ from numpy.typing import NDArray
 from identifiability.measurement.readers.variables import Variables, is_matrix
 
 
-def variables_of_73(path: Path) -> Variables:
-    """Numeric matrices of the file, and structs of them, by name."""
+def variables_of_73(path: Path) -> tuple[Variables, bool]:
+    """Numeric matrices of the file, and structs of them, by name; and whether there are objects."""
     variables: Variables = {}
+    has_objects = False
     with h5py.File(path) as file:
         for name, value in file.items():
-            if isinstance(value, h5py.Group) and not name.startswith("#"):
+            if name.startswith("#"):
+                continue
+            if "MATLAB_object_decode" in value.attrs:
+                has_objects = True
+            elif isinstance(value, h5py.Group):
                 fields = {field: _matrix(v) for field, v in value.items()}
                 variables[name] = {field: v for field, v in fields.items() if v is not None}
             elif (matrix := _matrix(value)) is not None:
                 variables[name] = matrix
-    return variables
+    return variables, has_objects
 
 
 def _matrix(value: object) -> NDArray[Any] | None:

@@ -14,7 +14,7 @@ from identifiability.errors import InputError
 from identifiability.measurement.filtering import HIGHEST_HZ
 from identifiability.measurement.readers.clock import Samples, evenly
 from identifiability.measurement.readers.columns import checked, located
-from identifiability.measurement.readers.formats import READERS
+from identifiability.measurement.readers.formats import READERS, reader_of
 from identifiability.measurement.readers.tables import Columns, Options, Table
 from identifiability.measurement.trials import Trial
 from identifiability.measurement.units import parse_unit
@@ -31,12 +31,14 @@ def read_trial(
     driven: Literal["torque", "angle"] = "torque",
     name: str | None = None,
 ) -> Trial:
-    """Read one trial from a text, MATLAB, HDF5 or OpenSim file, or any format in `READERS`.
+    """Read one trial from a file of any format in `READERS`.
 
     Text files (.csv, .tsv, .txt, .dat) may be separated by comma, semicolon, tab or white space,
     with a decimal point or comma; lines that start with ``#`` are skipped. MATLAB files (.mat) may
     be of any version. In HDF5 files (.h5, .hdf5) vectors lie side by side in one group, or one
-    matrix or table holds them; OpenSim's files (.sto, .mot) say whether angles are in degrees. Time
+    matrix or table holds them; OpenSim's files (.sto, .mot) say whether angles are in degrees; BIDS
+    motion recordings (_motion.tsv) have names, units and rate in their sidecars. With the extra
+    ``readers``: MATLAB tables and objects, the analog channels of C3D files, TDMS. Time
     steps that vary by less than 5 %, or that are late now and then, are resampled to the median
     one, torque linearly and angle by monotone cubics (PCHIP), which the trial's notes tell.
 
@@ -111,7 +113,7 @@ def read_trial(
 def _load(path: Path, options: Options) -> tuple[Table, str]:
     if path.is_dir():
         raise InputError("this is a directory: give the path of one file")
-    reader = READERS.get(path.suffix.lower())
+    reader = reader_of(path)
     if reader is None:
         raise InputError(
             f"files with the suffix {path.suffix.lower()!r} are not read: give one of "

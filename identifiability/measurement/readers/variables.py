@@ -27,6 +27,11 @@ def _is_vector(value: NDArray[Any]) -> bool:
     return min(value.shape) == 1
 
 
+def named(name: str, unit: str) -> str:
+    """Header of a channel with its unit, where it has one."""
+    return f"{name} ({unit.strip()})" if unit.strip() else name
+
+
 def table_of(variables: Variables, options: Options) -> Table:
     """Table of one variable, a matrix or a struct of vectors; empty ones are none."""
     variables = {name: value for name, value in variables.items() if len(value)}
