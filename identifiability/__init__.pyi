@@ -33,6 +33,7 @@ from .investigation.posterior.claim import Claim
 from .investigation.posterior.discrepancy import Discrepant
 from .investigation.posterior.probabilities import Probabilities, SetProbability, WeighedSet
 from .investigation.record import investigation_record
+from .investigation.rivals import Rivals
 from .investigation.rules import Rules
 from .investigation.session import Investigation
 from .investigation.smallest_seen.detectable import Detectable
@@ -94,9 +95,13 @@ from .plots.investigation import alone_figure, ladder_figure, widths_figure
 from .plots.investigation_unexplained import unexplained_figure
 from .plots.investigation_where import comparison_figure, responses_figure, where_figure
 from .plots.recording import overlay_figure, windows_figure
+from .plots.rivals import rivals_figure
 from .report.investigation import write_report
 from .study.approximations import high_frequency, low_frequency
 from .study.setting import MSM, Setting, error_problem, measured_problem
+from .workbench.attempt import Attempt, Ranked, Ranking
+from .workbench.difference import Difference
+from .workbench.session import Session
 
 __all__ = [  # noqa: RUF022 -- in the order of use
     "InputError",
@@ -179,6 +184,12 @@ __all__ = [  # noqa: RUF022 -- in the order of use
     "HeldOut",
     "Goodness",
     "investigate",
+    "Session",
+    "Attempt",
+    "Ranked",
+    "Ranking",
+    "Difference",
+    "Rivals",
     "Investigation",
     "Findings",
     "Split",
@@ -242,6 +253,7 @@ __all__ = [  # noqa: RUF022 -- in the order of use
     "comparison_figure",
     "where_figure",
     "responses_figure",
+    "rivals_figure",
     "overlay_figure",
     "windows_figure",
 ]

@@ -149,7 +149,7 @@ ROOMS = (
     ("posterior",),
     ("ladder", "smallest_seen"),
     ("verdict",),
-    ("next_experiment",),
+    ("next_experiment", "rivals"),
     ("findings",),
     ("models",),
     ("wording",),

@@ -175,7 +175,7 @@ class Investigation:
             Where the trials' rates are no multiples of the lowest.
         """
         number = self.bench.rules.most_effects if most is None else most
-        kept = self._evaluations(self._evaluator(seed), seed, "all")
+        kept = evaluations_of(self, seed)
         return weigh(
             kept.evaluator,
             self.baseline,
@@ -290,3 +290,8 @@ class Investigation:
         if pair is None:
             return None
         return next_experiment(self.bench, found.final, *pair, limits=limits, seed=seed)
+
+
+def evaluations_of(study: Investigation, seed: int) -> Evaluations:
+    """What weighs models of all trials of a study, each once where fits are kept."""
+    return study._evaluations(study._evaluator(seed), seed, "all")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -21,7 +22,7 @@ MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 # Maps for quantities of one sign: `MAP` by default, `SECOND_MAP` where two quantities meet.
 MAP, SECOND_MAP = "viridis", "cividis"
 
-DPI = 130
+DPI, _DPI_SHOWN = 130, 80
 
 LONGEST_SHOWN = 3.0  # seconds of a record: of more, nothing could be made out
 
@@ -75,6 +76,14 @@ def save(figure: Figure, path: Path | str) -> Path:
     with styled(), replacing(path) as temporary:
         figure.savefig(temporary, dpi=DPI, metadata=metadata.get(path.suffix))
     return path
+
+
+def png_of(figure: Figure) -> bytes:
+    """Bytes of a figure, as large as a notebook or a page shows it."""
+    drawn = io.BytesIO()
+    with styled():
+        figure.savefig(drawn, format="png", dpi=_DPI_SHOWN, metadata={"Software": None})
+    return drawn.getvalue()
 
 
 def letter(axes: Axes, text: str) -> None:

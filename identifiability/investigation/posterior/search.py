@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 
-from identifiability.inference.starts import refined_values, starting_values
+from identifiability.inference.starts import starting_values
 from identifiability.investigation.fits.candidate import Candidate
 from identifiability.investigation.posterior.descriptions import renamed
-from identifiability.investigation.posterior.evidence import NOISE_SHARE, Evaluated, Evaluator
+from identifiability.investigation.posterior.evidence import NOISE_SHARE, Evaluator
+from identifiability.investigation.posterior.jobs import STARTS_BESIDE, enlarged, richer
 from identifiability.investigation.posterior.kept import Evaluations
 from identifiability.investigation.posterior.probabilities import Probabilities
 from identifiability.investigation.posterior.signatures import strongest
@@ -19,7 +20,6 @@ from identifiability.joint.effects import Effect
 from identifiability.progress import Progress, silent
 
 _SEEN = 6  # effects that are added to a set that has effects already
-_STARTS_BESIDE = 12  # shapes that are tried as starts beside other effects
 _TAKEN_UP = 3  # sets of one size that are evaluated further, at most
 _REFINED = 3  # sets of one size that are refined, at most
 _WORTH_REFINING = 3.0  # nats before K, B and I alone
@@ -133,7 +133,7 @@ class _Search:
         alone = {key: known[key,].values for key in more if (key,) in known}
         most = _SEEN if keys else len(more)
         seen = strongest(self.weighing.evaluator, current, more, alone, most)
-        jobs = [self._enlarged(current, more[key](), alone.get(key, {})) for key in seen]
+        jobs = [enlarged(current, more[key](), alone.get(key, {})) for key in seen]
         self.add(f"what may be added to {' + '.join(['K, B, I', *keys])}", jobs)
         ranked = self._ranked(len(keys) + 1)[:_TAKEN_UP]
         near = [keys for keys in ranked if not self.weighing.is_far(keys, ranked[0])]
@@ -188,7 +188,7 @@ class _Search:
         starts = [{name: larger.values[name] for name in model.parameter_names}]
         if rest not in self.weighing.found:
             joint = {name: larger.values[name] for name in ("K", "B", "I")}
-            starts += starting_values(model, joint, most=_STARTS_BESIDE, wide=True)
+            starts += starting_values(model, joint, most=STARTS_BESIDE, wide=True)
         refined = model.refinable(larger.refined)
         return Job(model, starts, refined, larger.weights)
 
@@ -214,26 +214,6 @@ class _Search:
             if best is not None and new and size < most and self.improves(best):
                 self.enlarge(best)
 
-    def _enlarged(self, current: Evaluated, effect: Effect, alone: Mapping[str, float]) -> Job:
-        """A set with one effect more, from its own values and the effect's alone."""
-        model, values = current.model + effect, current.values
-        if not current.model.effect_keys:
-            starts = starting_values(model, values, wide=True)
-            return Job(model, starts, current.refined, nested=current)
-        starts = starting_values(model, values, most=_STARTS_BESIDE, wide=True)
-        shape = {
-            name: value
-            for name, value in alone.items()
-            if name.startswith(f"{effect.key}.") and model.parameters[name].null is None
-        }
-        if shape:
-            # A shape that served once may serve again.
-            starts += starting_values(model, {**values, **shape}, most=1)
-        # With a second effect the first one may have to take another shape.
-        joint = {name: values[name] for name in ("K", "B", "I")}
-        starts += starting_values(model, joint, most=_STARTS_BESIDE, wide=True)
-        return Job(model, starts, current.refined, nested=current)
-
     def _refine(self, size: int) -> None:
         """Free the refining parameters of the best sets of a size."""
         found = self.weighing.found
@@ -247,23 +227,8 @@ class _Search:
             if keys in self.refined or behind > most or gain < _WORTH_REFINING:
                 continue
             self.refined.add(keys)
-            jobs += self._refined(found[keys], keys)
+            jobs += richer(found[keys], keys)
         self.add("richer forms", jobs)
-
-    @staticmethod
-    def _refined(plain: Evaluated, keys: Keys) -> list[Job]:
-        """A model with each of its effects in richer form."""
-        free = [
-            name
-            for name, parameter in plain.model.parameters.items()
-            if parameter.plain is None or name.split(".")[0] in plain.refined
-        ]
-        starts = refined_values(plain.model, plain.values, free)
-        return [
-            Job(plain.model, starts, (*plain.refined, key), nested=plain)
-            for key in plain.model.refinable(keys)
-            if key not in plain.refined
-        ]
 
     def _ranked(self, size: int) -> list[Keys]:
         """Sets of a size, the best first."""
