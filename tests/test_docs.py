@@ -1,0 +1,60 @@
+"""What the pages tell users to write does what they say."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from identifiability.joint.model import KBI
+from identifiability.joint.response import simulate
+from identifiability.measurement.perturbations import Step
+from identifiability.measurement.readers.formats import READERS
+from identifiability.measurement.readers.trial_file import read_trial
+from identifiability.workbench.session import Session
+
+DOCS = Path(__file__).resolve().parents[1] / "docs"
+
+
+def blocks(page):
+    """Python in a page."""
+    return re.findall(r"```python\n(.*?)```", (DOCS / page).read_text(encoding="utf-8"), re.S)
+
+
+def run(code):
+    said = {}
+    exec(code, said)
+    return said
+
+
+def test_an_effect_of_ones_own():
+    effect = run(blocks("extend.md")[0])["library"]["end_stop"]
+    model, time = KBI() + effect(), np.arange(1000) / 1000
+    values = {"K": 30.0, "B": 1.0, "I": 0.1, "end_stop.stiffness": 500.0, "end_stop.begin": 0.05}
+    drive = Step(amplitude=6.0).drive(time)
+    stopped = simulate(model, model.vector(values), drive)
+    free = simulate(KBI(), KBI().vector({k: values[k] for k in "KBI"}), drive)
+    assert free[-1] == pytest.approx(0.2, rel=1e-2)
+    # 6 Nm = 30 q + 500 (q - 0.05)
+    assert stopped[-1] == pytest.approx(31 / 530, rel=1e-2)
+
+
+def test_a_reader_of_ones_own(tmp_path):
+    before = dict(READERS)
+    try:
+        run(blocks("extend.md")[1])
+        angle = np.sin(np.arange(50.0))
+        np.stack([np.degrees(angle), 2 * angle], axis=1).tofile(tmp_path / "knee.pairs")
+        trial = read_trial(tmp_path / "knee.pairs", rate=1000.0)
+        np.testing.assert_allclose(trial.angle, angle)
+        np.testing.assert_allclose(trial.torque, 2 * angle)
+    finally:
+        READERS.clear()
+        READERS.update(before)
+
+
+def test_a_session_has_what_the_page_says():
+    (code,) = blocks("your_own_data.md")
+    names = set(re.findall(r"session\.(\w+)", code))
+    assert {"rank", "add", "undo", "compare"} <= names
+    assert not [name for name in names if not hasattr(Session, name)]
