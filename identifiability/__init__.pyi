@@ -22,6 +22,8 @@ from .inference.recordings import (
 )
 from .inference.sampling import Posterior, Sampler, sample
 from .inference.widths import Width, Widths, widths
+from .investigation.across.agreement import Across, FittedRecord, SharedParameter, across
+from .investigation.across.weighed import SetAcross, weigh_across
 from .investigation.findings import Findings
 from .investigation.fits.candidate import Candidate, Residual
 from .investigation.fits.kept import OnDisk
@@ -185,6 +187,12 @@ __all__ = [  # noqa: RUF022 -- in the order of use
     "Goodness",
     "investigate",
     "Session",
+    "across",
+    "Across",
+    "FittedRecord",
+    "SharedParameter",
+    "weigh_across",
+    "SetAcross",
     "Attempt",
     "Ranked",
     "Ranking",

@@ -152,8 +152,10 @@ ROOMS = (
     ("next_experiment", "rivals"),
     ("findings",),
     ("models",),
+    ("session",),
+    ("across",),
     ("wording",),
-    ("session", "record"),
+    ("record",),
     ("investigate",),
 )
 ROOM_RANK = {name: rank for rank, row in enumerate(ROOMS) for name in row}

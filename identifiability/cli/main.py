@@ -15,6 +15,7 @@ from identifiability.errors import InputError
 def parser() -> argparse.ArgumentParser:
     """Build the parser with all subcommands."""
     from identifiability.cli import (
+        across,
         atlas,
         benchmark,
         demo,
@@ -32,7 +33,18 @@ def parser() -> argparse.ArgumentParser:
     )
     top.add_argument("--version", action=Version, nargs=0, help="print the version, and end")
     commands = top.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for module in (demo, fit, investigate, widths, paper, atlas, effects, recordings, benchmark):
+    for module in (
+        demo,
+        fit,
+        investigate,
+        across,
+        widths,
+        paper,
+        atlas,
+        effects,
+        recordings,
+        benchmark,
+    ):
         module.add_parser(commands)
     return top
 

@@ -48,6 +48,9 @@ class Parameter:
     spread : float or None
         Standard deviation about the lower bound, of what joints have little of; ``None`` where all
         that the bounds allow is as likely.
+    with_level : {-1, 0, 1}
+        By how much it grows with the angle [rad] that is taken for the operating point: 1 for the
+        posture there, -1 for a place as seen from there, 0 for what has no place.
     is_delay : bool
         Whether it is a delay, along which a fit's cost is wavy: fits go over its whole range.
     ends_form : bool
@@ -65,6 +68,7 @@ class Parameter:
     null: float | None = None
     plain: float | None = None
     spread: float | None = None
+    with_level: int = 0
     is_delay: bool = False
     ends_form: bool = False
 

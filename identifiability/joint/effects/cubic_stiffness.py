@@ -47,6 +47,7 @@ class CubicStiffness(Effect):
             lower=-0.5,
             upper=0.5,
             plain=0.0,
+            with_level=-1,
             description="angle about which it grows, from the operating point",
         ),
     )

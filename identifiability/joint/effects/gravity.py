@@ -50,6 +50,7 @@ class Gravity(Effect):
             nominal=0.5,
             lower=-3.2,
             upper=3.2,
+            with_level=1,
             description="angle of the operating point from hanging down",
             ends_form=True,
         ),
