@@ -88,7 +88,7 @@ _WIDTHS = ("slice", "quadratic", "gauss_newton", "sandwich", "profile", "posteri
 def _page(result: RecordingFit, title: str, out: Path, figures: Sequence[str]) -> Page:
     """The report: answer, parameters by every way to fit them, figures."""
     page = Page(f"K, B and I of {title}")
-    page.box([answer(consistency(result))])
+    page.box(answer(consistency(result)), [])
     rows, held, least = result.widths.rows, result.held_out, result.least_squares
     vaf = f"{result.goodness.vaf:.2f}"
     table = [["whole records", *(plus_minus(r.optimum, r.posterior_sd) for r in rows), ""]]

@@ -16,6 +16,7 @@ from identifiability.investigation.ladder.found import Found, Tried
 from identifiability.investigation.record import investigation_record
 from identifiability.investigation.verdict.pinned import interval, not_pinned_down
 from identifiability.investigation.wording import verdict as words
+from identifiability.investigation.wording.consequence import consequence_sentence
 from identifiability.investigation.wording.describe import describe
 from identifiability.investigation.wording.next_experiment import next_experiment_sentence
 from identifiability.investigation.wording.pinned import loose_sentence
@@ -71,7 +72,7 @@ def write_investigation(findings: Findings, out: Path, *, command: str) -> list[
 
 def investigation_text(findings: Findings) -> str:
     """What was found, as text."""
-    lines = [words.verdict_sentence(findings), ""]
+    lines = [words.verdict_sentence(findings), consequence_sentence(findings), ""]
     lines += models_text(findings)
     lines += ["", *words.because(findings)]
     if findings.next_experiment is not None:
@@ -140,10 +141,15 @@ def _verdict(page: Page, figures: _Figures, findings: Findings) -> None:
         f"({split.how_held_out}); {split.driven} imposed; "
         f"{findings.found.n_weighed} sets of effects weighed."
     )
-    box = [words.TITLES[findings.verdict.kind] + ".", words.verdict_sentence(findings)]
+    reasons = words.because(findings)
+    box = [
+        words.verdict_sentence(findings),
+        *reasons[:1],
+        consequence_sentence(findings),
+    ]
     if findings.next_experiment is not None:
         box.append(f"Next: {next_experiment_sentence(findings.next_experiment)}")
-    page.box(box)
+    page.box(words.TITLES[findings.verdict.kind], box)
     models_table(page, findings)
     if split.held_out:
         found = findings.found
@@ -155,7 +161,7 @@ def _verdict(page: Page, figures: _Figures, findings: Findings) -> None:
             "Trials that no model was fitted to, what each predicts, and under each what is left"
             + (", over the noise (grey: 95 % of it)." if split.has_noise else "."),
         )
-    page.items(words.because(findings))
+    page.items(reasons[1:])
     if findings.warnings:
         page.heading("What could not be done")
         page.items(list(findings.warnings))

@@ -15,7 +15,8 @@ h2 { font-size: 1.25rem; margin: 2.4rem 0 .6rem; border-bottom: 1px solid #ccc; 
 p { max-width: 46rem; }
 .verdict { background: #eef4fb; border-left: 6px solid #0072b2; padding: .9rem 1.1rem;
            font-size: 1.15rem; margin: 1rem 0; }
-.verdict p { margin: .2rem 0; max-width: none; }
+.verdict p { margin: .35rem 0; max-width: none; }
+.verdict .title { font-weight: 700; font-size: 1.3rem; }
 .scroll { overflow-x: auto; }
 table { border-collapse: collapse; margin: .6rem 0; font-size: .88rem; }
 th, td { text-align: right; padding: .25rem .55rem; border-bottom: 1px solid #ddd;
@@ -57,9 +58,10 @@ class Page:
         """Add a paragraph."""
         self._parts.append(f"<p>{html.escape(text)}</p>")
 
-    def box(self, lines: Sequence[str]) -> None:
-        """Add lines that stand out."""
-        inner = "".join(f"<p>{html.escape(line)}</p>" for line in lines)
+    def box(self, title: str, lines: Sequence[str]) -> None:
+        """Add a title and lines that stand out."""
+        inner = f'<p class="title">{html.escape(title)}</p>'
+        inner += "".join(f"<p>{html.escape(line)}</p>" for line in lines)
         self._parts.append(f'<div class="verdict">{inner}</div>')
 
     def items(self, lines: Sequence[str]) -> None:

@@ -1,0 +1,68 @@
+"""What a verdict means for K, B and I, in one sentence."""
+
+from __future__ import annotations
+
+from math import floor, log10
+
+from identifiability.investigation.findings import Findings
+from identifiability.investigation.models import FittedModel, fitted_models
+from identifiability.joint.parameters import plus_minus, with_unit
+
+_JOINT = ("K", "B", "I")
+_APART = 2.0  # standard deviations from which models say other things
+
+
+def consequence_sentence(findings: Findings) -> str:
+    """What K, B and I become, and what happens to the error; or why they cannot be quoted."""
+    models = fitted_models(findings)
+    base = models[0]
+    after = next((one for one in models if one.role == "final"), base)
+    held_out = bool(findings.split.held_out)
+    errors = [
+        (one.candidate.held_out if held_out else one.candidate.fitted).error
+        for one in (base, after)
+    ]
+    trials = "trials that were not fitted" if held_out else "the fitted trials"
+    if findings.verdict.kind == "nothing_missing":
+        return f"{_values(base)} stand, with E = {errors[0]:.3g} on {trials}."
+    if after is base:
+        return (
+            f"Do not quote {_values(base)}: they leave E = {errors[0]:.3g} on {trials}, and their "
+            "widths do not hold what is missing."
+        )
+    before = ", ".join(f"{base.candidate.values[name]:.3g}" for name in _JOINT)
+    falls = f"the error on {trials} goes from {errors[0]:.3g} to {errors[1]:.3g}"
+    if errors[1] < errors[0]:
+        falls = falls.replace("goes", "falls") + f", {_times(errors[0] / errors[1])}"
+    clue = findings.verdict.kind.startswith("unknown") or findings.verdict.kind == "unrepeatable"
+    with_it = "With what is named as a clue" if clue else "With it"
+    rivals = [one for one in models if one.role == "instead"]
+    if rivals:
+        with_it = "Depending on which it is"
+    return f"{with_it}, {_values(after, *rivals)} (by K, B and I alone {before}), and {falls}."
+
+
+def _values(*models: FittedModel) -> str:
+    """K, B and I of a model, or the range over several that are not told apart."""
+    one = models[0]
+    parameters = one.candidate.model.parameters
+    said = []
+    for name in _JOINT:
+        values = [other.candidate.values[name] for other in models]
+        apart = max(values) - min(values)
+        if apart > _APART * max(other.sds.get(name, 0.0) for other in models):
+            number = _range(min(values), max(values))
+        else:
+            number = plus_minus(values[0], one.sds.get(name))
+        said.append(f"{name} = {with_unit(number, parameters[name].unit)}")
+    return ", ".join(said)
+
+
+def _range(low: float, high: float) -> str:
+    """Two numbers with as many decimals, three digits of the larger."""
+    decimals = max(0, 2 - floor(log10(max(abs(low), abs(high), 1e-300))))
+    return f"{low:.{decimals}f} to {high:.{decimals}f}"
+
+
+def _times(ratio: float) -> str:
+    return f"to a {ratio:.0f}th" if ratio >= 4 else f"by {100 * (1 - 1 / ratio):.0f} %"
