@@ -143,6 +143,7 @@ def test_no_import_cycles():
 # Rooms of the investigation, as the layers above: those in one row do not know each other.
 ROOMS = (
     ("rules",),
+    ("pieces",),
     ("split",),
     ("fits",),
     ("where", "unexplained"),

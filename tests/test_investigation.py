@@ -14,9 +14,10 @@ from identifiability.errors import InputError
 from identifiability.inference.starts import starting_values
 from identifiability.investigation.fits.bench import Workbench
 from identifiability.investigation.investigate import investigate
+from identifiability.investigation.pieces import owners
 from identifiability.investigation.rules import Rules
 from identifiability.investigation.session import Investigation
-from identifiability.investigation.split import gather, owners
+from identifiability.investigation.split import gather
 from identifiability.joint.effects import (
     EFFECTS,
 )

@@ -1,4 +1,4 @@
-"""What an investigation adds to prepared trials: which are held out, noise, weights and pieces.
+"""What an investigation adds to prepared trials: which are held out, noise and weights.
 
 Every model is fitted to the same samples with the same weights. A trial weighs by its noise and by
 a share of its own energy, so that neither the largest trial nor the quietest decides alone.
@@ -13,18 +13,14 @@ from functools import cached_property
 import numpy as np
 
 from identifiability.errors import InputError
-from identifiability.inference.problem import Observation, observe
+from identifiability.inference.problem import Observation
+from identifiability.investigation.pieces import MOST_SAMPLES, pieces, remembering
 from identifiability.investigation.rules import Rules
 from identifiability.measurement.filtering import Lowpass
 from identifiability.measurement.noise import Noise
 from identifiability.measurement.prepared import Prepared, prepare
 from identifiability.measurement.splitting import Rule, hold_out
 from identifiability.measurement.trials import Trial
-
-MOST_SAMPLES = 8_192
-"""Samples of one trial or half a record that models are fitted to or judged on."""
-
-_LONGEST, _WARM_UP = 4096, 1.0  # samples of a piece; seconds in which a piece forgets its start
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,11 +144,9 @@ def gather(
     parts = hold_out(prepare([*trials, *held_out], lowpass_hz=lowpass_hz), len(held_out))
     every = (*parts.fitted, *parts.held_out)
     longest = max(p.last - p.first for p in every)
-    parts = replace(
-        parts,
-        fitted=tuple(_liveliest(p) for p in parts.fitted),
-        held_out=tuple(_liveliest(p) for p in parts.held_out),
-    )
+    n_fitted = len(parts.fitted)
+    ready = remembering([_liveliest(p) for p in every])
+    parts = replace(parts, fitted=tuple(ready[:n_fitted]), held_out=tuple(ready[n_fitted:]))
     cut = f"; of each part its liveliest {MOST_SAMPLES} samples" if longest > MOST_SAMPLES else ""
     if not parts.held_out:
         raise InputError(
@@ -179,61 +173,3 @@ def _liveliest(prepared: Prepared) -> Prepared:
     before = np.append(0.0, energy[:-MOST_SAMPLES])
     begin = first + int(np.argmax(energy[MOST_SAMPLES - 1 :] - before))
     return prepared.part(begin, begin + MOST_SAMPLES)
-
-
-def pieces(prepared: Prepared, noise: Noise) -> list[Observation]:
-    """A trial as one observation, or as overlapping ones that are computed side by side."""
-    span = prepared.last - prepared.first
-    n_offsets = prepared.has_offset
-    if prepared.response.size <= _LONGEST and prepared.first == 0:
-        chosen = np.arange(prepared.last)
-        segment = np.zeros(chosen.size, int) if n_offsets else None
-        return [observe(prepared.drive, prepared.response, noise, select=chosen, segment=segment)]
-    warm_up = round(_WARM_UP / prepared.drive.interval)
-    length = max(min(span, _LONGEST // 2), 1)
-    starts = range(prepared.first, prepared.last, length)
-    out: list[Observation] = []
-    for start in starts:
-        stop = min(start + length, prepared.last)
-        if stop - start < 2:
-            continue
-        low = max(0, start - warm_up)
-        part = replace(
-            prepared.drive,
-            states=prepared.drive.states[low:stop],
-            impulses=prepared.drive.impulses[low:stop],
-        )
-        chosen = np.arange(start - low, stop - low)
-        segment = np.zeros(chosen.size, int) if n_offsets else None
-        one = observe(part, prepared.response[low:stop], noise, select=chosen, segment=segment)
-        # The pieces share the record's one offset.
-        share = np.sqrt(chosen.size / span)
-        out.append(replace(one, constant=one.constant * share, continues=bool(out)))
-    return out
-
-
-def owners(observations: Sequence[Observation]) -> np.ndarray:
-    """Number of the trial that each observation is a piece of, shape (n_observations,)."""
-    return np.cumsum([not o.continues for o in observations]) - 1
-
-
-def places(observations: Sequence[Observation]) -> list[np.ndarray]:
-    """Where each trial's compared samples are among residuals, its pieces put together.
-
-    Parameters
-    ----------
-    observations : sequence of Observation
-        Whole trials, or pieces of them in their order.
-
-    Returns
-    -------
-    list of array of int
-        One a trial.
-    """
-    width = max(o.measured.size for o in observations)
-    pieces: list[list[np.ndarray]] = []
-    for row, observation in enumerate(observations):
-        if not observation.continues:
-            pieces.append([])
-        pieces[-1].append(row * width + np.flatnonzero(observation.scale > 0))
-    return [np.concatenate(found) for found in pieces]

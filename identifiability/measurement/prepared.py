@@ -115,6 +115,8 @@ class Prepared:
         Samples at which the imposed signal starts to move.
     treatment : Treatment
         What was done to the recording, as data.
+    warm_up : float
+        Time [s] before a part of it from which on it is computed, until it forgets where it was.
     """
 
     trial: Trial
@@ -127,6 +129,7 @@ class Prepared:
     has_offset: bool
     onsets: np.ndarray
     treatment: Treatment
+    warm_up: float = 1.0
 
     @property
     def name(self) -> str:

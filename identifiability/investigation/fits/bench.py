@@ -16,8 +16,9 @@ from identifiability.inference.starts import plain_values
 from identifiability.investigation.fits.candidate import NOTHING, Candidate, Residual
 from identifiability.investigation.fits.delays import delays_profiled
 from identifiability.investigation.fits.kept import InMemory, Kept, question
+from identifiability.investigation.pieces import places
 from identifiability.investigation.rules import Rules
-from identifiability.investigation.split import Split, places
+from identifiability.investigation.split import Split
 from identifiability.joint.model import Model
 from identifiability.joint.scheme import EXACT, Scheme
 from identifiability.measurement.prepared import Prepared

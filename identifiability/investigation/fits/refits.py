@@ -18,7 +18,7 @@ from identifiability.inference.bounds import onto, size_of, strictly_inside, tou
 from identifiability.inference.problem import Problem
 from identifiability.investigation.fits.bench import Workbench
 from identifiability.investigation.fits.candidate import Candidate
-from identifiability.investigation.split import places
+from identifiability.investigation.pieces import places
 
 NAMES = ("K", "B", "I")
 UNITS = ("Nm/rad", "Nms/rad", "kg m²")

@@ -10,7 +10,7 @@ from identifiability.inference.problem import Problem
 from identifiability.inference.widths import Widths, widths
 from identifiability.investigation.fits.bench import Workbench
 from identifiability.investigation.fits.candidate import Candidate
-from identifiability.investigation.split import owners
+from identifiability.investigation.pieces import owners
 from identifiability.joint.scheme import Scheme
 from identifiability.measurement.noise import correlation_time
 

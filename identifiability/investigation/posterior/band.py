@@ -19,8 +19,8 @@ from scipy.ndimage import maximum_filter1d, minimum_filter1d
 from identifiability.errors import InputError
 from identifiability.inference.problem import Observation, Prior, Problem
 from identifiability.inference.starts import plain_values
+from identifiability.investigation.pieces import MOST_SAMPLES, owners, pieces, remembering
 from identifiability.investigation.posterior import between
-from identifiability.investigation.split import MOST_SAMPLES, owners, pieces
 from identifiability.joint.model import Model
 from identifiability.joint.scheme import Scheme
 from identifiability.measurement.filtering import (
@@ -305,7 +305,8 @@ def band_of(
         lowpass_hz = noise_cutoff(every, _CLEAR)
     step = max(rounding_step(trial.angle) for trial in recorded)
     if every[0].driven == "torque":
-        return Band(prepare_whole_band(every), 1, dict(bounds or {}), step=step)
+        ready = tuple(remembering(prepare_whole_band(every)))
+        return Band(ready, 1, dict(bounds or {}), step=step)
     cutoff_hz = cutoff(every, lowpass_hz) or HIGHEST_HZ
     fitted, halved = _moved_by_angles(every, cutoff_hz)
     # What thinning leaves of white noise.
@@ -333,7 +334,7 @@ def _moved_by_angles(
     trials: Sequence[Trial], cutoff_hz: float
 ) -> tuple[tuple[Prepared, ...], bool]:
     """Trials whose angle was imposed, prepared, and whether every other sample is compared."""
-    fitted = prepare_whole_band(trials, lowpass_hz=cutoff_hz)
+    fitted = tuple(remembering(prepare_whole_band(trials, lowpass_hz=cutoff_hz)))
     if fitted[0].trial.sampling_rate < _ENOUGH * cutoff_hz:
         return fitted, False
     return tuple(_halved(p) for p in fitted), True

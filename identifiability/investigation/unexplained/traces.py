@@ -20,7 +20,7 @@ from scipy.signal import fftconvolve
 from identifiability.inference.problem import Problem
 from identifiability.investigation.fits.bench import Workbench
 from identifiability.investigation.fits.candidate import Candidate
-from identifiability.investigation.split import places
+from identifiability.investigation.pieces import places
 from identifiability.investigation.unexplained.linear_gaussian import Columns
 from identifiability.joint.model import KBI, Model
 from identifiability.joint.response import simulate
