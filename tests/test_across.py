@@ -112,7 +112,8 @@ def test_what_one_record_hides_another_shows():
     assert rows[0].probability > 0.8
     assert sum(row.probability for row in rows) == pytest.approx(1.0)
     assert rows[0].by_record["large"] > 10 > abs(rows[0].by_record["small"])
-    page = across_page(across(records, MODEL), rows, command="identifiability across")
+    record = across_record(across(records, MODEL), rows, command="identifiability across")
+    page = across_page(record, "across.svg")
     assert "| cubic stiffness |" in page
 
 
@@ -125,14 +126,15 @@ def test_what_cannot_be_compared_is_one_sentence():
 
 
 def test_the_page_the_record_and_the_figure_hold_what_was_found(agreeing):
-    page = across_page(agreeing, command="identifiability across")
+    plain = across_record(agreeing, command="identifiability across")
+    page = across_page(plain, "across.svg")
     for record in agreeing.records:
         assert record.name in page
     assert "cubic stiffness.coefficient [Nm/rad³] |" in page
-    record = across_record(agreeing, command="identifiability across")
-    assert json.loads(json.dumps(record))["p"] == agreeing.p
-    assert [one["verdict"] for one in record["parameters"] if one["shared"]] == ["agree"] * 2
-    assert "may differ" in across_text(agreeing)
+    assert json.loads(json.dumps(plain)) == plain
+    assert plain["p"] == agreeing.p
+    assert [one["verdict"] for one in plain["parameters"] if one["shared"]] == ["agree"] * 2
+    assert "may differ" in across_text(plain)
     figure = across_figure(agreeing)
     assert sum(panel.get_visible() for panel in figure.axes) == len(agreeing.parameters)
 

@@ -5,10 +5,17 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
+from hidden import JOINT, TIME, trials
 
 from identifiability.benchmark import real
 from identifiability.cli.main import main
+from identifiability.cli.recordings import _across
+from identifiability.investigation.across import weighed
+from identifiability.investigation.across.weighed import SetAcross
+from identifiability.joint.effects import EFFECTS
+from identifiability.joint.model import KBI
 from identifiability.report.recordings import recordings_page
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -16,13 +23,15 @@ ROOT = Path(__file__).resolve().parents[1]
 
 @pytest.fixture(scope="module")
 def found():
-    return json.loads((ROOT / "results" / "recordings.json").read_text())["recordings"]
+    return json.loads((ROOT / "results" / "recordings.json").read_text())
 
 
 def test_the_page_is_that_of_the_record(found):
     page = (ROOT / "results" / "recordings.md").read_text(encoding="utf-8")
-    assert page == recordings_page(found)
-    for record in found:
+    assert page == recordings_page(found["recordings"], found.get("rigs"))
+    for rig in found.get("rigs", {}).values():
+        assert (ROOT / "results" / "recordings" / f"{rig['records'][0]['name']}_rig.png").is_file()
+    for record in found["recordings"]:
         assert (ROOT / "results" / "recordings" / f"{record['name']}.png").is_file()
 
 
@@ -113,3 +122,39 @@ def test_recordings_are_in_one_order_whatever_was_asked_last(tmp_path):
     assert main([*arguments, "--only", names[0]]) == 0
     after = json.loads((tmp_path / "recordings.json").read_text())["recordings"]
     assert [one["name"] for one in after] == names[1:]
+
+
+def test_several_records_of_one_rig_are_held_against_each_other(tmp_path, monkeypatch):
+    model = KBI() + EFFECTS["cubic_stiffness"]()
+    files = []
+    for i, stiffness in enumerate((20.0, 40.0)):
+        values = JOINT | {"K": stiffness, "cubic_stiffness.coefficient": 150.0}
+        values["cubic_stiffness.centre"] = 0.0
+        (trial,) = trials(model, values, seed=i, conditions=[("pulse", 16)])
+        path = tmp_path / f"record{i}.csv"
+        rows = np.stack([TIME, trial.torque, trial.angle], axis=1)
+        np.savetxt(path, rows, delimiter=",", header="time_s,torque_Nm,angle_rad", comments="")
+        files.append(path)
+    several = [
+        replace(
+            real.REAL["silverbox"],
+            name=path.stem,
+            file=path.name,
+            columns=(),
+            rate=None,
+            rig="A rig",
+        )
+        for path in files
+    ]
+    for one in several:
+        monkeypatch.setitem(real.REAL, one.name, one)
+    assert real.rigs(["record0", "record1", "ankle"]) == {"A rig": several}
+    assert real.rigs(["record0", "ankle"]) == {}
+    named = SetAcross(("cubic_stiffness",), 0.9, 50.0, {"record0": 25.0, "record1": 25.0})
+    monkeypatch.setattr(weighed, "weigh_across", lambda studies, progress: (named,))
+    record = _across(several, tmp_path, tmp_path)
+    assert record["command"] == "identifiability across record0.csv record1.csv --driven torque"
+    assert (tmp_path / "record0_rig.png").is_file()
+    page = recordings_page([], {"A rig": record})
+    assert "## A rig: several records of it" in page
+    assert "cubic stiffness.coefficient" in page

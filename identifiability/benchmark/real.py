@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -42,6 +42,8 @@ class RealRecording:
     driven : {"torque", "angle"}
     variable, rate, restoring
         As of `read_trial`.
+    rig : str
+        What it was recorded on, where there are several records of that.
     """
 
     name: str
@@ -56,11 +58,17 @@ class RealRecording:
     variable: str | None = None
     rate: float | None = None
     restoring: bool = False
+    rig: str = ""
 
     @property
     def command(self) -> str:
         """The command that investigates it."""
-        parts = ["identifiability investigate", self.file, "--driven", self.driven]
+        return f"identifiability investigate {self.file} {self.options}"
+
+    @property
+    def options(self) -> str:
+        """The options by which it is read."""
+        parts = ["--driven", self.driven]
         parts += ["--variable", self.variable] if self.variable else []
         parts += ["--rate", f"{self.rate:g}"] if self.rate else []
         parts += ["--columns", *self.columns] if self.columns else []
@@ -101,6 +109,7 @@ REAL = {
             "BSD-3-Clause, DFKI 2021",
             "its weight, dry friction, and a time shift between the channels",
             _PENDULUM,
+            rig="The motor-driven pendulum",
         ),
         RealRecording(
             "pendulum_ddp",
@@ -111,6 +120,7 @@ REAL = {
             "BSD-3-Clause, DFKI 2021",
             "its weight, dry friction, and a time shift between the channels",
             _PENDULUM,
+            rig="The motor-driven pendulum",
         ),
         RealRecording(
             "double_pendulum",
@@ -190,6 +200,15 @@ def summary(one: RealRecording, record: Mapping[str, Any]) -> dict[str, Any]:
         "code": record["code"],
         "package": record["package"],
     }
+
+
+def rigs(names: Collection[str]) -> dict[str, list[RealRecording]]:
+    """Rigs of which several of some recordings are, with these."""
+    found: dict[str, list[RealRecording]] = {}
+    for one in REAL.values():
+        if one.rig and one.name in names:
+            found.setdefault(one.rig, []).append(one)
+    return {rig: several for rig, several in found.items() if len(several) > 1}
 
 
 def known(name: str) -> RealRecording:

@@ -96,10 +96,11 @@ def run(options: argparse.Namespace) -> int:
         records, model, may_differ=options.may_differ, seed=options.seed, progress=progress
     )
     command = " ".join(["identifiability", *sys.argv[1:]])
-    write_json(out / "across.json", across_record(found, weighed, command=command))
+    record = across_record(found, weighed, command=command)
+    write_json(out / "across.json", record)
     save(across_figure(found), out / "across.svg")
-    write_text(out / "across.md", across_page(found, weighed, command=command))
-    print(across_text(found, weighed))
+    write_text(out / "across.md", across_page(record, "across.svg"))
+    print(across_text(record))
     print(f"\nwritten: {out}/across.json, across.md, across.svg")
     return 0
 

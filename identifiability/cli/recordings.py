@@ -40,7 +40,7 @@ def add_parser(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the subcommand."""
-    from identifiability.benchmark.real import REAL, finished, known, summary
+    from identifiability.benchmark.real import REAL, finished, known, rigs, summary
     from identifiability.files import output_folder, write_json, write_text
     from identifiability.report.recordings import recordings_list, recordings_page
 
@@ -76,8 +76,17 @@ def run(options: argparse.Namespace) -> int:
         shutil.copy(folder / "overlay.png", pictures / f"{one.name}.png")
     order = list(REAL)
     found.sort(key=lambda record: order.index(record["name"]))
-    write_json(out / "recordings.json", {"recordings": found})
-    write_text(out / "recordings.md", recordings_page(found))
+    by_rig = _rigs_of_before(out / "recordings.json")
+    at_hand = [one.name for one in chosen if states[one.name] == "found"]
+    for rig, several in rigs(at_hand).items():
+        together = _across(several, options.folder, pictures)
+        if isinstance(together, str):
+            print(f"{rig}: {together}", file=sys.stderr)
+            failed = True
+        else:
+            by_rig[rig] = together
+    write_json(out / "recordings.json", {"recordings": found, "rigs": by_rig})
+    write_text(out / "recordings.md", recordings_page(found, by_rig))
     print(f"written: {out}/recordings.md, recordings.json")
     return PARTIAL if failed else 0
 
@@ -95,6 +104,48 @@ def _of_others(path: Path, chosen: set[str]) -> list[dict[str, Any]]:
         raise InputError(
             f"cannot read what was found before in '{path}' ({error}); remove it, and ask for all"
         ) from None
+
+
+def _rigs_of_before(path: Path) -> dict[str, Any]:
+    """What was found before in several records of one rig."""
+    if not path.is_file():
+        return {}
+    return dict(json.loads(path.read_text(encoding="utf-8")).get("rigs", {}))
+
+
+def _across(several: list[RealRecording], folder: Path, pictures: Path) -> dict[str, Any] | str:
+    """Several records of one rig, by default settings; or why there is nothing to say."""
+    from identifiability.cli.clock import clock
+    from identifiability.files import output_folder
+    from identifiability.investigation.across.agreement import across
+    from identifiability.investigation.across.weighed import weigh_across
+    from identifiability.investigation.fits.kept import OnDisk
+    from identifiability.investigation.session import Investigation
+    from identifiability.joint.effects import EFFECTS
+    from identifiability.joint.model import KBI
+    from identifiability.plots.across import across_figure
+    from identifiability.plots.style import save
+    from identifiability.report.across import across_record
+
+    progress = clock(several[0].rig)
+    fits = output_folder(pictures / "across") / "fits"
+    try:
+        studies = {
+            one.name: Investigation([one.read(folder)], kept=OnDisk(fits), progress=progress)
+            for one in several
+        }
+        weighed = weigh_across(studies, progress=progress)
+        model = KBI()
+        for key in weighed[0].effects:
+            model = model + EFFECTS[key]()
+        found = across(studies, model, progress=progress)
+    except InputError as error:
+        return str(error)
+    save(across_figure(found), pictures / f"{several[0].name}_rig.png")
+    shutil.rmtree(fits.parent, ignore_errors=True)
+    files = " ".join(one.file for one in several)
+    command = f"identifiability across {files} {several[0].options}"
+    return across_record(found, weighed, command=command)
 
 
 def _investigate(one: RealRecording, folder: Path, out: Path) -> str:

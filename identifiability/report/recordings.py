@@ -9,6 +9,7 @@ from identifiability.benchmark.real import REAL, RealRecording
 from identifiability.investigation.wording.verdict import TITLES, percent, plain, set_in_words
 from identifiability.joint.parameters import plus_minus
 from identifiability.provenance import made_by
+from identifiability.report.across import across_sections
 from identifiability.report.markdown import table
 
 
@@ -28,8 +29,10 @@ def recordings_list(states: Mapping[str, str] | None = None) -> str:
     return "\n".join(lines).rstrip()
 
 
-def recordings_page(found: Sequence[Mapping[str, Any]]) -> str:
-    """Page in Markdown from the plain records of `benchmark.real.summary`."""
+def recordings_page(
+    found: Sequence[Mapping[str, Any]], by_rig: Mapping[str, Mapping[str, Any]] | None = None
+) -> str:
+    """Page in Markdown from the plain records of `benchmark.real.summary`, and of each rig."""
     by_name = {record["name"]: record for record in found}
     rows = [
         _row(one, by_name[one.name]) if one.name in by_name else [one.title, "not run", "", "", ""]
@@ -48,6 +51,11 @@ def recordings_page(found: Sequence[Mapping[str, Any]]) -> str:
     for one in REAL.values():
         if one.name in by_name:
             parts += _section(one, by_name[one.name])
+    for rig, record in (by_rig or {}).items():
+        first = record["records"][0]["name"]
+        parts += [f"## {rig}: several records of it", f"    {record['command']}"]
+        parts += across_sections(record, f"recordings/{first}_rig.png")
+        parts += [f"Made by {made_by(record)}."]
     return "\n\n".join(parts) + "\n"
 
 
