@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hidden import JOINT, TIME, trials
+from hidden import JOINT, record_that_grows
 
 from identifiability.benchmark import real
 from identifiability.cli.main import main
@@ -130,9 +130,9 @@ def test_several_records_of_one_rig_are_held_against_each_other(tmp_path, monkey
     for i, stiffness in enumerate((20.0, 40.0)):
         values = JOINT | {"K": stiffness, "cubic_stiffness.coefficient": 150.0}
         values["cubic_stiffness.centre"] = 0.0
-        (trial,) = trials(model, values, seed=i, conditions=[("pulse", 16)])
+        trial = record_that_grows(model, values, seed=i)
         path = tmp_path / f"record{i}.csv"
-        rows = np.stack([TIME, trial.torque, trial.angle], axis=1)
+        rows = np.stack([trial.time, trial.torque, trial.angle], axis=1)
         np.savetxt(path, rows, delimiter=",", header="time_s,torque_Nm,angle_rad", comments="")
         files.append(path)
     several = [
