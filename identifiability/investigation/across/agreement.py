@@ -108,7 +108,7 @@ class Across:
     p : float
         Chance of so much, if all that is shared were the same.
     failures : dict of str to str
-        Records that could not be fitted, and why.
+        Records that could not be fitted, and why; "all together", where that has no optimum.
     """
 
     model: Model
@@ -200,6 +200,8 @@ def across(
             else _own(name, model.parameters[name].unit, told)
             for name in names
         )
+    if not together.at_optimum:
+        failures["all together"] = "the fit with what is shared came to no end"
     degrees = sum(max(0, row.n - 1) for row in rows if row.shared)
     p = float(stats.chi2.sf(together.chi_square, degrees)) if degrees else 1.0
     return Across(model, told, rows, together.chi_square, degrees, p, failures)

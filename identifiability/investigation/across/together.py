@@ -23,11 +23,14 @@ class Together:
         Of what is shared.
     chi_square : float
         What sharing costs.
+    at_optimum : bool
+        Whether the fit came to its end.
     """
 
     values: dict[str, float]
     sds: dict[str, float]
     chi_square: float
+    at_optimum: bool
 
 
 def fit_together(fits: Sequence[FittedAlone], shared: Sequence[str]) -> Together:
@@ -84,4 +87,5 @@ def fit_together(fits: Sequence[FittedAlone], shared: Sequence[str]) -> Together
         dict(zip(shared, map(float, best.x), strict=False)),
         dict(zip(shared, map(float, sds), strict=False)),
         max(0.0, float(lost)),
+        best.status > 0,
     )
