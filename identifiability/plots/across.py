@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from textwrap import fill
+
 import numpy as np
 from matplotlib.figure import Figure
 
@@ -10,6 +12,7 @@ from identifiability.palette import BLUE, GREY, VERMILLION
 from identifiability.plots.style import styled
 
 _COLUMNS = 4
+_LETTERS = 36  # of a line below one column
 _NORMAL_95 = 1.96
 
 
@@ -53,10 +56,12 @@ def across_figure(found: Across) -> Figure:
                     color=colour,
                     capsize=3,
                 )
-            panel.set_xticks(places, [r.name for r in found.records], rotation=30, ha="right")
+            panel.set_xticks(places, [str(1 + place) for place in places])
             panel.set_xlim(-0.6, len(places) - 0.4)
             unit = "" if parameter.unit == "1" else f" [{parameter.unit}]"
             panel.set_ylabel(f"${parameter.symbol}${unit}")
             name = one.name.replace(".", ": ").replace("_", " ")
             panel.set_title(name if one.shared else f"{name} (may differ)", fontsize=9)
+        names = [f"{1 + i}: {record.name}" for i, record in enumerate(found.records)]
+        figure.supxlabel(fill(", ".join(names), int(_LETTERS * columns)), fontsize=10)
     return figure

@@ -11,6 +11,7 @@ from scipy import optimize
 from identifiability.investigation.across.alone import FittedAlone, standard_deviations
 
 _STARTS, _EVALUATIONS = 2, 100  # of a fit
+_AT_BOUND = 1e-6  # relative distance from a bound that is none
 
 
 @dataclass(frozen=True)
@@ -20,7 +21,7 @@ class Together:
     Attributes
     ----------
     values, sds : dict of str to float
-        Of what is shared.
+        Of what is shared; what is at a bound has no standard deviation.
     chi_square : float
         What sharing costs.
     at_optimum : bool
@@ -81,7 +82,10 @@ def fit_together(fits: Sequence[FittedAlone], shared: Sequence[str]) -> Together
         for i in np.argsort(squares)[:_STARTS]
     ]
     best = min(tried, key=lambda one: one.cost)
-    sds = standard_deviations(best.jac)
+    within = np.minimum(best.x - lower, upper - best.x)
+    free = within > _AT_BOUND * np.maximum(np.abs(best.x), np.abs(best.x - within))
+    sds = np.zeros(ends)  # what is at a bound has none
+    sds[free] = standard_deviations(best.jac[:, free])
     lost = 2 * best.cost - sum(one.squares for one in fits)
     return Together(
         dict(zip(shared, map(float, best.x), strict=False)),
