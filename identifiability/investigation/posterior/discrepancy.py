@@ -25,6 +25,7 @@ from functools import cached_property
 import numpy as np
 import scipy.linalg
 
+from identifiability.investigation.posterior.band import Band
 from identifiability.investigation.posterior.columns import (
     Columns,
     columns_of,
@@ -35,13 +36,14 @@ from identifiability.investigation.posterior.columns import (
 )
 from identifiability.investigation.posterior.evidence import Evaluated, Evaluator
 from identifiability.investigation.posterior.growing import growing_noise, liveliness
-from identifiability.investigation.posterior.noises import Weights
+from identifiability.investigation.posterior.noises import Weighed, Weights
 
 _CHANGES = 0.5  # of its value, by which a parameter may differ
 _LARGEST, _SMALLEST, _FIRST = 3.0, 1e-6, 0.1  # sizes, over the response's
 _COUNTS = 1e-4  # size, over the response's, from which a kind is there
 _LOG_RANGE = np.log(_LARGEST / _COUNTS)  # of a kind's size, whose prior is uniform in ratios
 _STEPS, _MOVED = 80, 0.03
+_KEPT = 0.5  # share of what a slope promises, that a step along it must keep
 _ROUNDS, _GAIN = 4, 0.5  # of noise and discrepancy in turn; nats that one must bring
 _MOST_ACTIVE = 0.25  # share of the samples that may go into directions of the discrepancy
 _RIDGE = 1e-10  # of columns that repeat each other
@@ -175,19 +177,18 @@ class _Beside:
             shared = here.directions.T @ white
             taken = np.linalg.solve(here.precision, shared)
             inner = white.T @ white - shared.T @ taken
+            # In noise of another colour the best parameters are elsewhere.
+            slope = _slope(here, band)
+            best_alone = np.linalg.solve(here.precision, slope)
             # What the parameters could take over is theirs.
-            slope = here.directions.T @ here.white
-            along = white.T @ here.white - taken.T @ slope
+            along = white.T @ here.white - taken.T @ (here.directions.T @ here.white)
             if here.probes:
                 noise = here.weights.gain * here.weights.whitened(self._noise)
                 own = here.weights.gain * here.weights.whitened(here.probes)
-                slope = slope - here.turns.T @ own[:, 1:].T @ own[:, 0]
                 noise -= own[:, 1:] @ here.turns @ taken
                 inner, along = _known(inner, along, noise, own[:, 0])
             gain, sizes, mean = self._sized(inner, along, sizes)
             there = int(np.sum(sizes > _COUNTS * band.scale))
-            # In noise of another colour the best parameters are elsewhere.
-            best_alone = np.linalg.solve(here.precision, slope)
             log_evidence = here.log_evidence + 0.5 * float(slope @ best_alone)
             log_evidence += gain - there * np.log(_LOG_RANGE)
             moved = best_alone - taken @ mean
@@ -269,6 +270,27 @@ class _Beside:
     def _rms(self, response: np.ndarray) -> float:
         """Root mean square over the response's."""
         return float(np.sqrt(np.mean(response**2)) / self.evaluator.band.scale)
+
+
+def _slope(here: Evaluated, band: Band) -> np.ndarray:
+    """Slope of half a model's squares by its coordinates, where it leads to less.
+
+    Where noise of the angle is as much as may be taken off, the squares have a kink, and their
+    slope on one side leads nowhere.
+    """
+    slope = here.directions.T @ here.white
+    weighed = Weighed(here.problem, band, here.weights)
+    if here.probes:
+        own = here.weights.gain * here.weights.whitened(here.probes)
+        if own[:, 0] @ own[:, 0] < weighed.most_taken:
+            slope = slope - here.turns.T @ own[:, 1:].T @ own[:, 0]
+    step = here.turns @ np.linalg.solve(here.precision, slope)
+    promised = 0.5 * float(slope @ np.linalg.solve(here.precision, slope))
+    if promised < _WORTH:
+        return np.asarray(slope)
+    moved = np.clip(here.x - step, here.problem.lower, here.problem.upper)
+    kept = 0.5 * (weighed.squares(here.x) - weighed.squares(moved))
+    return np.asarray(slope if kept > _KEPT * promised else np.zeros_like(slope))
 
 
 def _known(
