@@ -478,22 +478,27 @@ def test_a_torque_that_nothing_names_is_found_and_noise_is_not():
 
 
 def test_noise_that_a_resonance_amplifies_is_no_torque_of_its_own():
-    """Of noise of the angle no more is taken off than there may be: then its slope is none."""
+    """What parameters could still gain is what they do gain there, and not what a slope promises.
+
+    Of noise of the angle no more is taken off than there may be, and a resonance is no line.
+    """
     trials = servo_trials(Joint(ANATOMY), torque_sd=0.1, angle_sd=1e-5, n=8, rate=200, pace=60.0)
     evaluator = evaluator_for(trials)
     model = KBI() + EFFECTS["second_mass"]()
     plain = evaluator.evaluate(KBI(), [START])
-    narrow = {"inertia": 0.02, "frequency": 0.97 * 0.5 / evaluator.band.interval}
-    start = {f"second_mass.{n}": v for n, v in (narrow | {"damping_ratio": 0.005}).items()}
-    found = evaluator.evaluate(model, [plain.values | start])
     discrepancy = discrepancy_of(evaluator, plain)
-    here = evaluator.evaluated(found.problem, found.x, discrepancy.noise)
+    problem = evaluator.band.problem(model, probes=evaluator.reference.probes)
+    frequency = 0.97 * 0.5 / evaluator.band.interval
+    narrow = {"inertia": 0.05, "frequency": frequency, "damping_ratio": 0.01}
+    start = plain.values | {f"second_mass.{name}": value for name, value in narrow.items()}
+    here = evaluator.evaluated(problem, problem.free_vector(start), discrepancy.noise)
+    best = evaluator.fitted(problem, here.x[None], discrepancy.noise)
+    found = evaluator.evaluated(problem, best, discrepancy.noise)
     probe = here.weights.gain * here.weights.whitened(here.probes)
-    share, slope = probe[:, 0] @ probe[:, 0], here.turns.T @ probe[:, 1:].T @ probe[:, 0]
-    # The control: as much noise as may be taken off, and of a slope that would be worth a lot.
-    assert share > 0.99 * Weighed(found.problem, evaluator.band, here.weights).most_taken
-    assert slope @ np.linalg.solve(here.precision, slope) > 20
-    assert discrepancy.beside(found).log_evidence < found.log_evidence + 3
+    most = Weighed(problem, evaluator.band, here.weights).most_taken
+    assert probe[:, 0] @ probe[:, 0] > most  # the control
+    for one in (here, found):
+        assert discrepancy.beside(one).log_evidence < found.log_evidence + 3
 
 
 @pytest.mark.parametrize("driven", ["torque", "angle"])

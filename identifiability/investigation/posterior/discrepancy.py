@@ -178,8 +178,7 @@ class _Beside:
             taken = np.linalg.solve(here.precision, shared)
             inner = white.T @ white - shared.T @ taken
             # In noise of another colour the best parameters are elsewhere.
-            slope = _slope(here, band)
-            best_alone = np.linalg.solve(here.precision, slope)
+            best_alone, alone = _best_alone(here, band)
             # What the parameters could take over is theirs.
             along = white.T @ here.white - taken.T @ (here.directions.T @ here.white)
             if here.probes:
@@ -189,7 +188,7 @@ class _Beside:
                 inner, along = _known(inner, along, noise, own[:, 0])
             gain, sizes, mean = self._sized(inner, along, sizes)
             there = int(np.sum(sizes > _COUNTS * band.scale))
-            log_evidence = here.log_evidence + 0.5 * float(slope @ best_alone)
+            log_evidence = here.log_evidence + alone
             log_evidence += gain - there * np.log(_LOG_RANGE)
             moved = best_alone - taken @ mean
             left = here.white - white @ mean - here.directions @ moved
@@ -272,11 +271,11 @@ class _Beside:
         return float(np.sqrt(np.mean(response**2)) / self.evaluator.band.scale)
 
 
-def _slope(here: Evaluated, band: Band) -> np.ndarray:
-    """Slope of half a model's squares by its coordinates, where it leads to less.
+def _best_alone(here: Evaluated, band: Band) -> tuple[np.ndarray, float]:
+    """How far a model's coordinates are from their best, and what that is worth [nats].
 
-    Where noise of the angle is as much as may be taken off, the squares have a kink, and their
-    slope on one side leads nowhere.
+    No more than a step there really brings: where noise of the angle is as much as may be taken
+    off, the squares have a kink, and their slope on one side leads nowhere.
     """
     slope = here.directions.T @ here.white
     weighed = Weighed(here.problem, band, here.weights)
@@ -284,13 +283,15 @@ def _slope(here: Evaluated, band: Band) -> np.ndarray:
         own = here.weights.gain * here.weights.whitened(here.probes)
         if own[:, 0] @ own[:, 0] < weighed.most_taken:
             slope = slope - here.turns.T @ own[:, 1:].T @ own[:, 0]
-    step = here.turns @ np.linalg.solve(here.precision, slope)
-    promised = 0.5 * float(slope @ np.linalg.solve(here.precision, slope))
+    step = np.linalg.solve(here.precision, slope)
+    promised = 0.5 * float(slope @ step)
     if promised < _WORTH:
-        return np.asarray(slope)
-    moved = np.clip(here.x - step, here.problem.lower, here.problem.upper)
+        return step, promised
+    moved = np.clip(here.x - here.turns @ step, here.problem.lower, here.problem.upper)
     kept = 0.5 * (weighed.squares(here.x) - weighed.squares(moved))
-    return np.asarray(slope if kept > _KEPT * promised else np.zeros_like(slope))
+    if not kept > _KEPT * promised:
+        return np.zeros_like(step), 0.0
+    return step, min(promised, kept)
 
 
 def _known(
