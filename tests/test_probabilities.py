@@ -478,10 +478,7 @@ def test_a_torque_that_nothing_names_is_found_and_noise_is_not():
 
 
 def test_noise_that_a_resonance_amplifies_is_no_torque_of_its_own():
-    """What parameters could still gain is what they do gain there, and not what a slope promises.
-
-    Of noise of the angle no more is taken off than there may be, and a resonance is no line.
-    """
+    """Of noise of the angle no more is taken off than there may be: its slope leads nowhere."""
     trials = servo_trials(Joint(ANATOMY), torque_sd=0.1, angle_sd=1e-5, n=8, rate=200, pace=60.0)
     evaluator = evaluator_for(trials)
     model = KBI() + EFFECTS["second_mass"]()
@@ -496,9 +493,10 @@ def test_noise_that_a_resonance_amplifies_is_no_torque_of_its_own():
     found = evaluator.evaluated(problem, best, discrepancy.noise)
     probe = here.weights.gain * here.weights.whitened(here.probes)
     most = Weighed(problem, evaluator.band, here.weights).most_taken
-    assert probe[:, 0] @ probe[:, 0] > most  # the control
-    for one in (here, found):
-        assert discrepancy.beside(one).log_evidence < found.log_evidence + 3
+    assert probe[:, 0] @ probe[:, 0] > 2 * most  # the control
+    # Far from its best values a model comes near what it is there, and not thousands of nats above.
+    assert discrepancy.beside(here).log_evidence < found.log_evidence + 50
+    assert discrepancy.beside(found).log_evidence < found.log_evidence + 3
 
 
 @pytest.mark.parametrize("driven", ["torque", "angle"])

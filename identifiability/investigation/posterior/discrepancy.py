@@ -274,8 +274,8 @@ class _Beside:
 def _best_alone(here: Evaluated, band: Band) -> tuple[np.ndarray, float]:
     """How far a model's coordinates are from their best, and what that is worth [nats].
 
-    No more than a step there really brings: where noise of the angle is as much as may be taken
-    off, the squares have a kink, and their slope on one side leads nowhere.
+    Nothing where a step there does not bring it: where noise of the angle is as much as may be
+    taken off, the squares have a kink, and their slope on one side leads nowhere.
     """
     slope = here.directions.T @ here.white
     weighed = Weighed(here.problem, band, here.weights)
@@ -291,7 +291,7 @@ def _best_alone(here: Evaluated, band: Band) -> tuple[np.ndarray, float]:
     kept = 0.5 * (weighed.squares(here.x) - weighed.squares(moved))
     if not kept > _KEPT * promised:
         return np.zeros_like(step), 0.0
-    return step, min(promised, kept)
+    return step, promised
 
 
 def _known(
