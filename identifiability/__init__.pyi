@@ -92,6 +92,7 @@ from .measurement.perturbations import (
 from .measurement.prepared import Lead, Prepared, Treatment
 from .measurement.readers.trial_file import read_trial
 from .measurement.trials import Trial, onsets
+from .plots.across import across_figure
 from .plots.corner import corner_figure
 from .plots.investigation import alone_figure, ladder_figure, widths_figure
 from .plots.investigation_unexplained import unexplained_figure
@@ -262,6 +263,7 @@ __all__ = [  # noqa: RUF022 -- in the order of use
     "where_figure",
     "responses_figure",
     "rivals_figure",
+    "across_figure",
     "overlay_figure",
     "windows_figure",
 ]

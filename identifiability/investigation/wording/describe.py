@@ -5,12 +5,14 @@ from __future__ import annotations
 from functools import singledispatch
 
 from identifiability.errors import InputError
+from identifiability.investigation.across.agreement import Across
 from identifiability.investigation.findings import Findings
 from identifiability.investigation.next_experiment import NextExperiment
 from identifiability.investigation.posterior.probabilities import Probabilities
 from identifiability.investigation.unexplained.account import Unexplained
 from identifiability.investigation.where.compare import Comparison
 from identifiability.investigation.where.locate import Location
+from identifiability.investigation.wording.across import across_sentences
 from identifiability.investigation.wording.comparison import comparison_sentences
 from identifiability.investigation.wording.next_experiment import next_experiment_sentence
 from identifiability.investigation.wording.unexplained import unexplained_sentence
@@ -27,7 +29,7 @@ def describe(result: object) -> tuple[str, ...]:
 
     Parameters
     ----------
-    result : Comparison, Location, Unexplained, Probabilities, NextExperiment or Findings
+    result : Comparison, Location, Unexplained, Probabilities, NextExperiment, Across or Findings
 
     Returns
     -------
@@ -75,6 +77,11 @@ def _(result: Unexplained) -> tuple[str, ...]:
 @describe.register
 def _(result: NextExperiment) -> tuple[str, ...]:
     return (next_experiment_sentence(result),)
+
+
+@describe.register
+def _(result: Across) -> tuple[str, ...]:
+    return across_sentences(result)
 
 
 @describe.register
