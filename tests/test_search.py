@@ -1,10 +1,15 @@
 """No optimum is missed unseen, and no effect is named that was never left out."""
 
+from dataclasses import replace
+
 import pytest
 from hidden import JOINT, PAIR, study_of_a_pair
 
 from identifiability.inference.starts import nested_values
+from identifiability.investigation.fits.candidate import unfitted
+from identifiability.investigation.ladder.climb import found_of
 from identifiability.investigation.posterior import evidence
+from identifiability.investigation.posterior.claim import Claim
 from identifiability.investigation.posterior.evidence import Evaluator
 from identifiability.investigation.posterior.search import _Search
 from identifiability.investigation.posterior.weighing import Job, Weighing
@@ -95,3 +100,23 @@ def test_a_plainer_effect_is_weighed_from_the_values_of_its_richer_form(driven):
     (values,), richer = job.starts, weighing.found[keys[:2]].values
     for name in ("stiffness", "bypass_stiffness", "bypass_damping"):
         assert values[f"series_tendon.{name}"] == richer[f"nonlinear_tendon.{name}"]
+
+
+@pytest.mark.parametrize("driven", ["torque", "angle"])
+def test_what_every_likely_set_has_need_not_have_been_weighed_by_itself(driven):
+    """What is sure whatever else is missing may be a set that no search came by."""
+    study = study_of_a_pair(driven, KEYS)
+    posterior = study.weigh()
+    pair = ("cubic_stiffness", "sensor_delay")
+    sets = {keys: one for keys, one in posterior.sets.items() if keys != pair}
+    model = posterior.sets[pair].candidate.model + EFFECTS["second_mass"]()
+    values = nested_values(model, posterior.sets[pair].candidate.values)
+    sets[tuple(sorted(KEYS))] = replace(posterior.sets[pair], candidate=unfitted(model, values))
+    claim = Claim("unknown", pair, (), 1.0)
+    found = found_of(
+        study.bench, study.baseline, replace(posterior, sets=sets), claim, study.library
+    )
+    assert not found.failure
+    assert found.final.keys == pair
+    assert sorted(one.key for one in found.missing) == sorted(pair)
+    assert found.final.fitted.error < 0.1 * study.baseline.fitted.error

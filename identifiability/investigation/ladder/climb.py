@@ -112,7 +112,7 @@ class _Climb:
         rungs = [tuple(sorted(order[: i + 1])) for i in range(len(order))]
         rests = [tuple(k for k in keys if k != key) for key in order]
         wanted = list(dict.fromkeys([*rungs[:-1], *(r for r in rests if r)]))
-        final = self.bench.finish(self.posterior.sets[keys].candidate)
+        final = self.bench.finish(self._weighed(keys))
         if final.failure:
             return final, ()
         fits: dict[Keys, Candidate] = {(): self.baseline}
@@ -140,6 +140,27 @@ class _Climb:
             before = removed
         return fits[keys], tuple(out)
 
+    def _weighed(self, keys: Keys) -> Candidate:
+        """A set as it was weighed; or, of the likeliest that has all of it, what is left of it.
+
+        What every likely set has need not have been weighed by itself.
+        """
+        known = self.posterior.sets
+        if keys in known:
+            return known[keys].candidate
+        larger = [one for one in known if set(keys) < set(one)]
+        candidate = known[max(larger, key=lambda one: known[one].log_evidence)].candidate
+        return self._part(candidate, keys)
+
+    def _part(self, candidate: Candidate, keys: Keys) -> Candidate:
+        """A model's part with fewer of its effects, to be fitted from its values."""
+        model = candidate.model
+        for key in candidate.keys:
+            if key not in (*keys, *self.baseline.keys):
+                model = model.without(key)
+        values = {name: candidate.values[name] for name in model.parameter_names}
+        return unfitted(model, values, model.refinable(candidate.refined))
+
     def _order(self, keys: Keys) -> list[str]:
         """Effects of a set, at every rung the one with which the model is most probable."""
         order: list[str] = []
@@ -159,13 +180,7 @@ class _Climb:
         """A smaller model, from where it was weighed, or from the final model's values."""
         if keys in self.posterior.sets:
             return self.bench.finish(self.posterior.sets[keys].candidate)
-        model = final.model
-        for key in final.keys:
-            if key not in (*keys, *self.baseline.keys):
-                model = model.without(key)
-        values = {name: final.values[name] for name in model.parameter_names}
-        refined = model.refinable(final.refined)
-        return self.bench.finish(unfitted(model, values, refined))
+        return self.bench.finish(self._part(final, keys))
 
     def _at_least(self, final: Candidate, rung: Candidate) -> Candidate:
         """The final model, which leaves no more than a rung of its ladder does."""
@@ -185,6 +200,8 @@ class _Climb:
 
     def _rivals(self, key: str, keys: Keys) -> tuple[Tried, ...]:
         """What was weighed in the place of an effect of the final model, best first."""
+        if keys not in self.posterior.sets:
+            return ()  # there is nothing to hold them against
         rest = {k for k in keys if k != key}
         tried = [
             self._tried(next(iter(set(one) - rest)), one, keys)
