@@ -479,7 +479,7 @@ def test_a_torque_that_nothing_names_is_found_and_noise_is_not():
 
 def test_noise_that_a_resonance_amplifies_is_no_torque_of_its_own():
     """Of noise of the angle no more is taken off than there may be: its slope leads nowhere."""
-    trials = servo_trials(Joint(ANATOMY), torque_sd=0.1, angle_sd=1e-5, n=3, rate=200, pace=60.0)
+    trials = servo_trials(Joint(ANATOMY), torque_sd=0.1, angle_sd=1e-5, n=8, rate=200, pace=60.0)
     evaluator = evaluator_for(trials)
     model = KBI() + EFFECTS["second_mass"]()
     plain = evaluator.evaluate(KBI(), [START])
