@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +14,7 @@ from identifiability.cli.options import (
     add_out_option,
     add_seed_option,
     check_seed,
+    command_line,
     parse_bounds,
     parse_lowpass,
     read_trials,
@@ -31,7 +31,7 @@ def add_parser(commands: Any) -> None:
         description="Fit one model to several records of a joint, each a file or a folder of "
         "trials; compare what should be the same in all of them (inertia, friction, gravity, "
         "...), combine it, and predict every record by the fits of the others. Without --effects "
-        "every record is investigated, and the model has what was named in any.",
+        "every record is investigated, and the sets that came near in any are weighed by all.",
         **with_examples(
             "across rest/ loaded/ --effects gravity coulomb_friction --out rig",
             "across low.csv middle.csv high.csv --may-differ K B --out ankle",
@@ -89,14 +89,11 @@ def run(options: argparse.Namespace) -> int:
     if keys is None:
         weighed = weigh_across(records, seed=options.seed, progress=progress)
         keys = weighed[0].effects
-    model = KBI()
-    for key in keys:
-        model = model + EFFECTS[key]()
+    model = KBI().plus(EFFECTS[key]() for key in keys)
     found = across(
         records, model, may_differ=options.may_differ, seed=options.seed, progress=progress
     )
-    command = " ".join(["identifiability", *sys.argv[1:]])
-    record = across_record(found, weighed, command=command)
+    record = across_record(found, weighed, command=command_line())
     write_json(out / "across.json", record)
     save(across_figure(found), out / "across.svg")
     write_text(out / "across.md", across_page(record, "across.svg"))

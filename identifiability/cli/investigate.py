@@ -16,6 +16,7 @@ from identifiability.cli.options import (
     add_out_option,
     add_seed_option,
     check_seed,
+    command_line,
     parse_bounds,
     parse_lowpass,
     read_trials,
@@ -105,7 +106,7 @@ def run(options: argparse.Namespace) -> int:
         kept=OnDisk(fits),
         progress=clock(),
     )
-    written = write_investigation(findings, out, command=_command())
+    written = write_investigation(findings, out, command=command_line())
     shutil.rmtree(fits, ignore_errors=True)
     print(investigation_text(findings))
     print(f"\nwritten: {out}/" + ", ".join(written))
@@ -134,7 +135,3 @@ def _limits(texts: list[str], trials: list[Any]) -> Any:
             )
         limits[name] = number
     return Limits(**limits)
-
-
-def _command() -> str:
-    return " ".join(["identifiability", *sys.argv[1:]])

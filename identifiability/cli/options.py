@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -152,6 +153,11 @@ def add_lowpass_option(parser: argparse.ArgumentParser) -> None:
         help="zero-phase low-pass of both channels where the angle is imposed (50 Hz, or lower "
         "where the angle above is but noise), or 'none'; in a fit for the error E alone",
     )
+
+
+def command_line() -> str:
+    """The command as it was typed."""
+    return " ".join(["identifiability", *sys.argv[1:]])
 
 
 def read_trials(options: argparse.Namespace, files: Sequence[Path] | None = None) -> list[Trial]:

@@ -56,7 +56,7 @@ def run(options: argparse.Namespace) -> int:
     if options.out is None:
         print(recordings_list(states))
         return 0
-    found = _of_others(options.out / "recordings.json", {one.name for one in chosen})
+    found, by_rig = _before(options.out / "recordings.json", {one.name for one in chosen})
     out, failed = output_folder(options.out), False
     pictures = output_folder(out / "recordings")
     for one in chosen:
@@ -76,7 +76,6 @@ def run(options: argparse.Namespace) -> int:
         shutil.copy(folder / "overlay.png", pictures / f"{one.name}.png")
     order = list(REAL)
     found.sort(key=lambda record: order.index(record["name"]))
-    by_rig = _rigs_of_before(out / "recordings.json")
     at_hand = [one.name for one in chosen if states[one.name] == "found"]
     for rig, several in rigs(at_hand).items():
         together = _across(several, options.folder, pictures)
@@ -91,26 +90,21 @@ def run(options: argparse.Namespace) -> int:
     return PARTIAL if failed else 0
 
 
-def _of_others(path: Path, chosen: set[str]) -> list[dict[str, Any]]:
-    """What was found before in recordings that are not chosen; each says by which code."""
+def _before(path: Path, chosen: set[str]) -> tuple[list[dict[str, Any]], dict[str, Any]]:
+    """What was found before in recordings that are not chosen, and of rigs, by which code each."""
     from identifiability.benchmark.real import REAL
 
     if not path.is_file():
-        return []
+        return [], {}
     try:
-        before = json.loads(path.read_text(encoding="utf-8"))["recordings"]
-        return [one for one in before if one["name"] in REAL and one["name"] not in chosen]
-    except (OSError, ValueError, LookupError, TypeError) as error:
+        before = json.loads(path.read_text(encoding="utf-8"))
+        others = before["recordings"]
+        others = [one for one in others if one["name"] in REAL and one["name"] not in chosen]
+        return others, dict(before.get("rigs", {}))
+    except (OSError, ValueError, LookupError, TypeError, AttributeError) as error:
         raise InputError(
             f"cannot read what was found before in '{path}' ({error}); remove it, and ask for all"
         ) from None
-
-
-def _rigs_of_before(path: Path) -> dict[str, Any]:
-    """What was found before in several records of one rig."""
-    if not path.is_file():
-        return {}
-    return dict(json.loads(path.read_text(encoding="utf-8")).get("rigs", {}))
 
 
 def _across(several: list[RealRecording], folder: Path, pictures: Path) -> dict[str, Any] | str:
@@ -135,9 +129,7 @@ def _across(several: list[RealRecording], folder: Path, pictures: Path) -> dict[
             for one in several
         }
         weighed = weigh_across(studies, progress=progress)
-        model = KBI()
-        for key in weighed[0].effects:
-            model = model + EFFECTS[key]()
+        model = KBI().plus(EFFECTS[key]() for key in weighed[0].effects)
         found = across(studies, model, progress=progress)
     except InputError as error:
         return str(error)

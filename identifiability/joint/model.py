@@ -73,6 +73,13 @@ class Model:
         # The order of addition must not change names or numbers, so effects are kept sorted.
         return Model(tuple(sorted((*self.effects, other), key=lambda effect: effect.key)))
 
+    def plus(self, effects: Iterable[Effect]) -> Model:
+        """Return the model with several effects more, in their order."""
+        model = self
+        for effect in effects:
+            model = model + effect
+        return model
+
     def without(self, key: str) -> Model:
         """Return the model without the effect `key`.
 

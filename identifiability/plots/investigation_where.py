@@ -19,6 +19,7 @@ from identifiability.investigation.where.drawing import label_below
 from identifiability.investigation.where.imposed import starts
 from identifiability.investigation.where.locate import Location
 from identifiability.investigation.where.view import Panel
+from identifiability.investigation.wording.verdict import model_in_words
 from identifiability.measurement.prepared import Prepared
 from identifiability.palette import BLACK, BLUE, GREY, SKY, VERMILLION
 from identifiability.plots.style import LONGEST_SHOWN, styled
@@ -57,9 +58,9 @@ def responses_figure(
     trials: Sequence[Prepared] = getattr(split, of)
     first: Residual = getattr(before, of)
     shown = sorted(np.argsort(first.errors)[::-1][:_MOST_TRIALS].tolist())
-    models = [(first, _title(before), VERMILLION)]
+    models = [(first, model_in_words(before.keys), VERMILLION)]
     if after is not None:
-        models.append((getattr(after, of), _title(after), BLUE))
+        models.append((getattr(after, of), model_in_words(after.keys), BLUE))
     in_noise = split.has_noise and all(r.lead.sd > 0 for r in trials)
     unit = _UNITS[split.driven]
     n_columns = min(len(shown), _COLUMNS)
@@ -111,10 +112,6 @@ def _overlay(
         lower.axhspan(-NORMAL_95, NORMAL_95, color=GREY, alpha=0.25, lw=0, zorder=0)
     lower.axhline(0, color=GREY, lw=0.8)
     upper.tick_params(labelbottom=False)
-
-
-def _title(candidate: Candidate) -> str:
-    return " + ".join(["K, B, I", *(key.replace("_", " ") for key in candidate.keys)])
 
 
 def where_figure(location: Location) -> Figure:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from matplotlib.figure import Figure
 
 from identifiability.investigation.rivals import Rivals, left_of
+from identifiability.investigation.wording.verdict import model_in_words
 from identifiability.palette import BLUE, GREY, VERMILLION
 from identifiability.plots.style import styled
 
@@ -30,7 +31,7 @@ def rivals_figure(rivals: Rivals) -> Figure:
         upper.plot(time, measured, color=GREY, lw=3, label="measured")
         for one, colour in ((rivals.first, VERMILLION), (rivals.second, BLUE)):
             left = left_of(one)[number]
-            name = " + ".join(["K, B, I", *(key.replace("_", " ") for key in one.keys)])
+            name = model_in_words(one.keys)
             upper.plot(time, measured - left, color=colour, lw=1.4, label=name)
             lower.plot(time, left, color=colour, lw=1.0)
         for panel in (upper, lower):

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from identifiability.investigation.fits.candidate import Candidate
 from identifiability.investigation.split import Split
+from identifiability.investigation.wording.verdict import model_in_words
 from identifiability.joint.model import Model
 
 
@@ -47,7 +48,7 @@ class Attempt:
     @property
     def name(self) -> str:
         """Such as "K, B, I + series tendon"."""
-        return " + ".join(["K, B, I", *(key.replace("_", " ") for key in self.model.effect_keys)])
+        return model_in_words(self.model.effect_keys)
 
     def __repr__(self) -> str:
         errors = f"E = {self.candidate.fitted.error:.3g}"

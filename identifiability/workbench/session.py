@@ -109,8 +109,10 @@ class Session:
         self.folder = None if folder is None else Path(folder)
         if self.folder is not None and moves is None and holds_session(self.folder):
             raise InputError(f"{folder} holds a session already: Session.open({str(folder)!r})")
-        self._temporary = tempfile.TemporaryDirectory(prefix="identifiability-")
-        home = Path(self._temporary.name) if self.folder is None else self.folder
+        home = self.folder
+        if home is None:
+            self._temporary = tempfile.TemporaryDirectory(prefix="identifiability-")
+            home = Path(self._temporary.name)
         self._fits = home / FITS
         self.study = Investigation(
             trials,
@@ -279,9 +281,7 @@ class Session:
         rest = tuple(k for k in current if k not in keys)
         name = tuple(sorted(rest))
         if name not in self._weighing.found:
-            model = self.study.model
-            for key in rest:
-                model = model + larger.model.effect(key)
+            model = self.study.model.plus(larger.model.effect(key) for key in rest)
             start = {n: larger.values[n] for n in model.parameter_names}
             forms = model.refinable(larger.refined)
             self._weigh([Job(model, [start], forms, larger.weights)])
@@ -353,7 +353,7 @@ class Session:
     # Keep
 
     def save(self, folder: Path | str) -> None:
-        """Keep the session in a folder from now on, with all its fits.
+        """Write the session as it is now into a folder, with all its fits.
 
         Parameters
         ----------
@@ -390,21 +390,19 @@ class Session:
         """
         stored = read_session(Path(folder))
         how: dict[str, Any] = dict(stored.how)
-        known, model = (EFFECTS if library is None else library), KBI()
+        known = EFFECTS if library is None else library
         used = {*how.pop("model"), *(k for move in stored.moves for k in move[1:])}
         if missing := sorted(used - set(known)):
             raise InputError(
                 f"the session has effects that the library has not ({', '.join(missing)}): give "
                 "Session.open a library with them"
             )
-        for key in stored.how["model"]:
-            model = model + known[key]()
         how["bounds"] = {name: tuple(pair) for name, pair in how["bounds"].items()}
         how["rules"] = Rules(**how["rules"])
         return cls(
             stored.trials,
             stored.held_out,
-            model=model,
+            model=KBI().plus(known[key]() for key in stored.how["model"]),
             library=library,
             folder=folder,
             moves=stored.moves,

@@ -178,12 +178,12 @@ class _Beside:
             taken = np.linalg.solve(here.precision, shared)
             inner = white.T @ white - shared.T @ taken
             # In noise of another colour the best parameters are elsewhere.
-            best_alone, alone = _best_alone(here, band)
+            own = here.weights.gain * here.weights.whitened(here.probes) if here.probes else None
+            best_alone, alone = _best_alone(here, band, own)
             # What the parameters could take over is theirs.
             along = white.T @ here.white - taken.T @ (here.directions.T @ here.white)
-            if here.probes:
+            if own is not None:
                 noise = here.weights.gain * here.weights.whitened(self._noise)
-                own = here.weights.gain * here.weights.whitened(here.probes)
                 noise -= own[:, 1:] @ here.turns @ taken
                 inner, along = _known(inner, along, noise, own[:, 0])
             gain, sizes, mean = self._sized(inner, along, sizes)
@@ -271,18 +271,17 @@ class _Beside:
         return float(np.sqrt(np.mean(response**2)) / self.evaluator.band.scale)
 
 
-def _best_alone(here: Evaluated, band: Band) -> tuple[np.ndarray, float]:
+def _best_alone(here: Evaluated, band: Band, own: np.ndarray | None) -> tuple[np.ndarray, float]:
     """How far a model's coordinates are from their best, and what that is worth [nats].
 
     Nothing where a step there does not bring it: where noise of the angle is as much as may be
-    taken off, the squares have a kink, and their slope on one side leads nowhere.
+    taken off, the squares have a kink, and their slope on one side leads nowhere. That noise in
+    its residual and derivatives is its `own`, whitened.
     """
     slope = here.directions.T @ here.white
     weighed = Weighed(here.problem, band, here.weights)
-    if here.probes:
-        own = here.weights.gain * here.weights.whitened(here.probes)
-        if own[:, 0] @ own[:, 0] < weighed.most_taken:
-            slope = slope - here.turns.T @ own[:, 1:].T @ own[:, 0]
+    if own is not None and weighed.takes_all(own):
+        slope = slope - here.turns.T @ own[:, 1:].T @ own[:, 0]
     step = np.linalg.solve(here.precision, slope)
     promised = 0.5 * float(slope @ step)
     if promised < _WORTH:

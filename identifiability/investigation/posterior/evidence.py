@@ -352,7 +352,7 @@ class Evaluator:
         precision = (jacobian * turn).T @ (jacobian * turn)
         precision += np.diag([p.sd**-2 for p in priors])
         gradient = jacobian.T @ residual
-        if probe is not None and probe[:, 0] @ probe[:, 0] < weighed.most_taken:
+        if probe is not None and weighed.takes_all(probe):
             precision = less(precision, probe[:, 1:] * turn)
             gradient = gradient - probe[:, 1:].T @ probe[:, 0]
         # The likelihood's own mode is given; the prior moves it, to second order.

@@ -211,6 +211,16 @@ class Weighed:
         share = float(probe[:, 0] @ probe[:, 0])
         return total + self.weights.excess - min(share, self.most_taken)
 
+    def takes_all(self, probe: np.ndarray) -> bool:
+        """Whether all noise of the angle is taken off; beyond that the squares have no slope of it.
+
+        Parameters
+        ----------
+        probe : array, shape (n, 1 + n_free)
+            As `whitened` gives it.
+        """
+        return float(probe[:, 0] @ probe[:, 0]) < self.most_taken
+
     @property
     def most_taken(self) -> float:
         """Most that is taken off the sum of squares for noise of the angle."""

@@ -182,9 +182,7 @@ class _Search:
     def _rest(self, keys: Keys, rest: Keys) -> Job:
         """A set without one of its effects, from what is left of its values."""
         larger = self.weighing.found[keys]
-        model = self.weighing.found[()].model
-        for key in rest:
-            model = model + larger.model.effect(key)
+        model = self.weighing.found[()].model.plus(larger.model.effect(key) for key in rest)
         starts = [{name: larger.values[name] for name in model.parameter_names}]
         if rest not in self.weighing.found:
             joint = {name: larger.values[name] for name in ("K", "B", "I")}

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 
 from identifiability.investigation.findings import Findings
 from identifiability.investigation.posterior.probabilities import Probabilities
@@ -27,6 +27,11 @@ TITLES = {
 def plain(key: str) -> str:
     """An effect's key as words."""
     return key.replace("_", " ")
+
+
+def model_in_words(keys: Iterable[str]) -> str:
+    """K, B, I and some effects, such as "K, B, I + series tendon"."""
+    return " + ".join(["K, B, I", *map(plain, keys)])
 
 
 def listed(words: Sequence[str]) -> str:
