@@ -60,7 +60,8 @@ def fit_of(case: Case) -> Fit:
 
 @cache
 def moments_of(case: Case) -> Moments:
-    return quadrature(problem_of(case), fit_of(case).values)
+    best = fit_of(case)
+    return quadrature(problem_of(case), best.values, local_optima=best.reached)
 
 
 @cache

@@ -230,9 +230,8 @@ def narrow_run(begin_apart):
     start = sampling._try(problem, proposal, seeds[0], 4096)
     if not begin_apart:
         start = start._replace(apart=best[None].repeat(sampling.N_ENSEMBLES, axis=0))
-    found = sampling._independent(
-        problem, proposal, start, "laplace-t", "", 0, seeds[1], 512, effort=1.0
-    )
+    budget = sampling._Budget(walkers=512, most_steps=25)
+    found = sampling._independent(problem, proposal, start, "laplace-t", "", 0, seeds[1], budget)
     return found, found.sd / moments_of(GAUSSIAN).sd
 
 
@@ -343,7 +342,7 @@ def rank_rhat(chains):
 @pytest.mark.parametrize("rho", [0.0, 0.5, 0.9])
 def test_diagnostics_of_autoregressive_chains(rho):
     chains = autoregressive(rho)
-    rhat, bulk, tail, mcse = (float(x[0]) for x in diagnose(chains[:, :, None], ("x",)))
+    rhat, bulk, tail, mcse = (float(x[0]) for x in diagnose(chains[:, :, None]))
     assert rhat == pytest.approx(rank_rhat(chains), abs=1e-6)
     assert rhat < 1.01
     assert bulk == pytest.approx(chains.size * (1 - rho) / (1 + rho), rel=0.1)
@@ -358,7 +357,7 @@ def test_diagnostics_of_chains_that_disagree():
     apart[0] += 1.0
     wider = autoregressive(0.5)
     wider[0] *= 2.0
-    rhat, bulk, _, _ = diagnose(np.stack([apart, wider], axis=-1), ("apart", "wider"))
+    rhat, bulk, _, _ = diagnose(np.stack([apart, wider], axis=-1))
     np.testing.assert_allclose(rhat, [rank_rhat(apart), rank_rhat(wider)], atol=1e-6)
     assert np.all(rhat > 1.03)
     assert bulk[0] < 100
@@ -370,7 +369,7 @@ def test_diagnostics_are_those_of_arviz():
     chains = np.stack([autoregressive(0.3, draws=500), autoregressive(0.8, draws=500)], axis=-1)
     names = ("one", "two")
     data = xarray.Dataset({n: (("chain", "draw"), chains[..., i]) for i, n in enumerate(names)})
-    rhat, bulk, tail, mcse = diagnose(chains, names)
+    rhat, bulk, tail, mcse = diagnose(chains)
     for i, name in enumerate(names):
         assert rhat[i] == float(arviz.rhat(data)[name])
         assert bulk[i] == float(arviz.ess(data)[name])

@@ -11,6 +11,7 @@ from typing import NamedTuple
 import numpy as np
 import scipy.optimize
 
+from identifiability.inference.evaluation import CONVERGED
 from identifiability.inference.fitting import inside
 from identifiability.inference.problem import Problem
 
@@ -37,7 +38,9 @@ class Conditional(NamedTuple):
     information: np.ndarray
 
 
-def conditional_optima(problem: Problem, held: tuple[int, ...], points: np.ndarray) -> Conditional:
+def conditional_optima(
+    problem: Problem, held: tuple[int, ...], points: np.ndarray, *, accuracy: float = CONVERGED
+) -> Conditional:
     """Maximise the likelihood over the parameters that are not held.
 
     Parameters
@@ -47,6 +50,9 @@ def conditional_optima(problem: Problem, held: tuple[int, ...], points: np.ndarr
         Positions, among the free parameters, of those that keep their value in `points`.
     points : array, shape (n, k)
         Held values, and starts for the others.
+    accuracy : float
+        Log likelihood that an optimum may lack, about; SciPy, which solves what machine code does
+        not know, keeps to its own.
 
     Returns
     -------
@@ -54,7 +60,7 @@ def conditional_optima(problem: Problem, held: tuple[int, ...], points: np.ndarr
     """
     inside_bounds = np.clip(np.asarray(points, float), problem.lower, problem.upper)
     moves = np.array([i not in held for i in range(inside_bounds.shape[1])])
-    solved = problem.solved(inside_bounds, moves)
+    solved = problem.solved(inside_bounds, moves, accuracy)
     if solved is None:
         return one_by_one(problem, held, points)
     found, products = solved

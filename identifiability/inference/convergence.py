@@ -65,11 +65,11 @@ def convergence(draws: np.ndarray, names: tuple[str, ...], *, independent: bool)
     n_ensembles, _, n_steps, k = draws.shape
     if independent:
         # Walker after walker, so that neighbours in the row are neighbours in a walker's time.
-        rhat, bulk, tail, mcse = diagnose(draws.reshape(n_ensembles, -1, k), names)
+        rhat, bulk, tail, mcse = diagnose(draws.reshape(n_ensembles, -1, k))
     else:
         # In time order: one ensemble counts as one chain.
         in_time = draws.transpose(0, 2, 1, 3)
-        rhat, bulk, tail, mcse = diagnose(in_time.reshape(n_ensembles, -1, k), names)
+        rhat, bulk, tail, mcse = diagnose(in_time.reshape(n_ensembles, -1, k))
         bulk, tail, mcse = _of_dependent_walkers(in_time, bulk, tail)
     nested = rhat_nested(draws)
 
@@ -152,37 +152,26 @@ def _arviz() -> ModuleType:
     return arviz
 
 
-def diagnose(
-    draws: np.ndarray, names: tuple[str, ...]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def diagnose(draws: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Rank R-hat, bulk and tail effective sample size, and Monte Carlo error of the sd.
 
     Parameters
     ----------
     draws : array, shape (n_chains, n_draws, k)
-    names : tuple of str
 
     Returns
     -------
     tuple of four arrays, shape (k,)
     """
-    import xarray
-
     arviz = _arviz()
     if hasattr(arviz, "Numba"):
         arviz.Numba.disable_numba()  # in 0.x what it compiles fails with NumPy 2
-    data = xarray.Dataset(
-        {name: (("chain", "draw"), draws[:, :, i]) for i, name in enumerate(names)}
-    )
-
-    def column(statistic: xarray.Dataset) -> np.ndarray:
-        return np.array([float(statistic[name]) for name in names])
-
+    columns = np.moveaxis(draws, -1, 0)
     return (
-        column(arviz.rhat(data, method="rank")),
-        column(arviz.ess(data, method="bulk")),
-        column(arviz.ess(data, method="tail", prob=(0.05, 0.95))),
-        column(arviz.mcse(data, method="sd")),
+        np.array([float(arviz.rhat(x, method="rank")) for x in columns]),
+        np.array([float(arviz.ess(x, method="bulk")) for x in columns]),
+        np.array([float(arviz.ess(x, method="tail", prob=(0.05, 0.95))) for x in columns]),
+        np.array([float(arviz.mcse(x, method="sd")) for x in columns]),
     )
 
 
@@ -196,7 +185,7 @@ def _of_dependent_walkers(
     """
     k = in_time.shape[-1]
     means = in_time.mean(axis=2)
-    series = diagnose(means, tuple(str(i) for i in range(k)))[1]
+    series = diagnose(means)[1]
     flat = in_time.reshape(-1, k)
     worth = flat.var(axis=0) / means.reshape(-1, k).var(axis=0)
     honest = np.minimum(series * worth, bulk)

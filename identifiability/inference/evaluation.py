@@ -24,7 +24,8 @@ from identifiability.joint.response import Traced
 from identifiability.loops import compiled_loop
 
 _ITERATIONS = 72
-_CONVERGED = 1e-7  # predicted decrease of the cost, in units of log likelihood
+CONVERGED = 1e-7
+"""Decrease of the cost that a step promises, from which on an optimum is one; in nats."""
 # Samples, in those of an exact response, from which on threads are worth their start.
 _WORTH_THREADS, _INTEGRATED, _DESCENDED = 200_000, 20, 10
 
@@ -222,7 +223,12 @@ class Evaluation:
         return -0.5 * self._over(points)[1][:, 0, 0]
 
     def optima(
-        self, points: np.ndarray, moves: np.ndarray, lower: np.ndarray, upper: np.ndarray
+        self,
+        points: np.ndarray,
+        moves: np.ndarray,
+        lower: np.ndarray,
+        upper: np.ndarray,
+        accuracy: float = CONVERGED,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Least squares from each point on, by Levenberg-Marquardt steps within bounds.
 
@@ -232,6 +238,8 @@ class Evaluation:
         moves : array of bool, shape (n_free,)
             Whether each may change.
         lower, upper : array, shape (n_free,)
+        accuracy : float
+            See `CONVERGED`.
 
         Returns
         -------
@@ -239,7 +247,7 @@ class Evaluation:
         products : array, shape (n_points, 1 + n_free, 1 + n_free)
             Inner products of the whitened residuals and their derivatives there.
         """
-        return self._over(points, None, _ITERATIONS, moves, lower, upper)
+        return self._over(points, None, _ITERATIONS, moves, lower, upper, accuracy)
 
     def _products_of(
         self, response: np.ndarray, theta: np.ndarray, white: np.ndarray | None = None
@@ -260,6 +268,7 @@ class Evaluation:
         moves: np.ndarray | None = None,
         lower: np.ndarray | None = None,
         upper: np.ndarray | None = None,
+        accuracy: float = CONVERGED,
     ) -> tuple[np.ndarray, np.ndarray]:
         responses = self.responses
         assert isinstance(responses, Responses)
@@ -284,6 +293,7 @@ class Evaluation:
                 low,
                 high,
                 iterations,
+                accuracy,
                 found[a:b],
                 grams[a:b],
                 kept,
@@ -315,6 +325,7 @@ def _evaluate(
     lower: np.ndarray,
     upper: np.ndarray,
     iterations: int,
+    accuracy: float,
     points: np.ndarray,
     grams: np.ndarray,
     kept: np.ndarray,
@@ -341,7 +352,7 @@ def _evaluate(
             # Where residuals are large the Gauss-Newton step overshoots; the damping that cures
             # this must be kept, not relaxed after every success: Marquardt's gain ratio decides.
             gain = 0.5 * (here[0, 0] - there[0, 0]) / max(fall[1], 1e-300)
-            last = fall[0] < _CONVERGED or damping > 1e9
+            last = fall[0] < accuracy or damping > 1e9
             if there[0, 0] <= here[0, 0]:
                 x[:] = trial
                 here[:, :] = there

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Protocol
@@ -102,7 +103,10 @@ def starting_points(problem: Problem, around: np.ndarray, n: int, seed: int) -> 
 
 
 def fit(problem: Problem, starts: np.ndarray, *, polish: bool = True) -> Fit:
-    """Fit by bounded least squares (SciPy's trust region reflective) from every start.
+    """Fit by bounded least squares from every start, the best end by SciPy's again.
+
+    By Levenberg-Marquardt steps where machine code takes them, else by SciPy (trust region
+    reflective) from every start.
 
     Parameters
     ----------
@@ -124,7 +128,13 @@ def fit(problem: Problem, starts: np.ndarray, *, polish: bool = True) -> Fit:
     starts = inside(problem, np.atleast_2d(starts))
     best, costs, failures = None, np.full(len(starts), np.inf), []
     reached = starts.copy()
-    for i, start in enumerate(starts):
+    order: Sequence[int] = range(len(starts))
+    solved = problem.solved(starts, np.ones(starts.shape[1], bool))
+    if solved is not None:
+        reached, costs = solved[0], 0.5 * solved[1][:, 0, 0]
+        starts, order = inside(problem, reached), [int(np.argmin(costs))]
+    for i in order:
+        start = starts[i]
         try:
             result = scipy.optimize.least_squares(
                 problem.residuals,

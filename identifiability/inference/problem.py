@@ -14,7 +14,7 @@ from threading import local
 import numpy as np
 
 from identifiability.errors import InputError
-from identifiability.inference.evaluation import Compared, Evaluation, compared
+from identifiability.inference.evaluation import CONVERGED, Compared, Evaluation, compared
 from identifiability.inference.likelihood.coloured import Colour
 from identifiability.joint.model import Model
 from identifiability.joint.response import responses_by
@@ -382,7 +382,9 @@ class Problem:
         found: tuple[np.ndarray, np.ndarray] = last.both
         return found
 
-    def solved(self, points: np.ndarray, moves: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:
+    def solved(
+        self, points: np.ndarray, moves: np.ndarray, accuracy: float = CONVERGED
+    ) -> tuple[np.ndarray, np.ndarray] | None:
         """Least squares from each point on, within the bounds; see `Evaluation.optima`.
 
         Returns
@@ -393,7 +395,7 @@ class Problem:
         evaluation = self._evaluation(self.free)
         if not evaluation.native:
             return None
-        return evaluation.optima(points, moves, self.lower, self.upper)
+        return evaluation.optima(points, moves, self.lower, self.upper, accuracy)
 
     def _evaluation(self, free: tuple[int, ...]) -> Evaluation:
         """The likelihood, with derivatives by all free parameters or none."""

@@ -13,7 +13,7 @@ from identifiability.inference.problem import Problem
 
 # Drops of the log likelihood at the ends of one parameter's 68.27 and 95 % intervals (chi²).
 DROPS = {"68": 0.5, "95": 1.9207}
-_REACH, _SHORT_REACH = 0.5 * 12.0**2, 0.5 * 2.5**2
+_REACH, _SHORT_REACH = 0.5 * 3.5**2, 0.5 * 2.5**2
 _FIRST, _FIRST_SHORT = 4.0, 2.5  # quadratic widths that the first points reach
 POINTS = 24
 
@@ -139,14 +139,15 @@ def profile(
 
 def reach(problem: Problem, optimum: np.ndarray, index: int, drop: float) -> tuple[float, float]:
     """Range of a parameter outside of which its profile lies more than `drop` below the optimum."""
-    top = float(problem.log_likelihood(np.asarray(optimum, float)[None])[0])
+    optimum = np.asarray(optimum, float)
+    top = float(problem.log_likelihood(optimum[None])[0])
     shape = curvature(problem, optimum)
     limits = []
     for direction in (-1, 1):
         path, drops = _follow(problem, optimum, top, shape, index, direction, drop)
-        beyond = np.flatnonzero(drops > drop)
-        limits.append(path[beyond[0] if beyond.size else -1, index])
-    return float(limits[0]), float(limits[1])
+        bound = (problem.lower if direction < 0 else problem.upper)[index]
+        limits.append(_end(problem, index, top, drop, optimum, path, drops, bound, rounds=0)[0])
+    return limits[0], limits[1]
 
 
 def _follow(

@@ -12,6 +12,7 @@ point of its own, and convergence is judged across them: see `convergence`.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Literal, NamedTuple, Protocol
 
@@ -20,6 +21,7 @@ import numpy as np
 
 from identifiability.inference.convergence import convergence
 from identifiability.inference.curvature import curvature
+from identifiability.inference.modes import modes_of
 from identifiability.inference.problem import Problem
 from identifiability.inference.proposals import (
     StudentMixture,
@@ -37,11 +39,12 @@ N_ENSEMBLES = 4
 # other all the same. In three dimensions, where a Gaussian gives 0.89, this is 0.75.
 EFFICIENCY_LIMIT = 0.84
 
-# An optimum this far below the best, in log likelihood, holds no mass that matters.
-_NEGLIGIBLE = 15.0
 _TRIALS = 8  # points of a proposal to judge it by, for each walker
-# All walkers of an ensemble begin at one point, and the burn-in must take them away from it.
-_WALKERS, _FEW_WALKERS, _STEPS, _BURN = 512, 64, 25, 10
+_WALKERS, _FEW_WALKERS, _STEPS = 512, 64, 25
+# All walkers of an ensemble begin at one point, and the burn-in must take them away from it: all
+# but so many, if they are accepted as often as the proposal is efficient.
+_LEFT, _LEAST_BURN, _MOST_BURN = 1e-4, 4, 10
+_WORTH = 0.5  # effective draws that a draw is expected to be worth, before any is seen
 _PILOT_WALKERS, _PILOT_STEPS, _FEW_STEPS = 128, 400, 80
 _DE_WALKERS, _DE_STEPS = 64, 2000
 _CLOUD = 0.1  # extent of an ensemble that begins to evolve, in that of the pilot run
@@ -173,6 +176,27 @@ class Sampler(Protocol):
         ...
 
 
+class _Budget(NamedTuple):
+    """What a run of independent walkers may spend: see `sample`."""
+
+    walkers: int
+    most_steps: int
+    enough: float | None = None
+
+    def first(self) -> int:
+        """Steps after which the draws are looked at for the first time."""
+        if self.enough is None:
+            return self.most_steps
+        needed = self.enough / (_WORTH * N_ENSEMBLES * self.walkers)
+        return min(self.most_steps, max(2, math.ceil(needed)))
+
+    def suffices(self, found: Posterior) -> bool:
+        """Whether nothing more need be spent."""
+        if self.enough is None or not found.converged:
+            return False
+        return bool(min(found.ess_bulk.min(), found.ess_tail.min()) >= self.enough)
+
+
 class _Start(NamedTuple):
     """Points to begin from, and how well the proposal that they are from fits (Kish, 0 to 1)."""
 
@@ -189,6 +213,7 @@ def sample(
     local_optima: np.ndarray | None = None,
     effort: float = 1.0,
     quick: bool = False,
+    enough: float | None = None,
 ) -> Posterior:
     """Sample the posterior, climbing the ladder of proposals as far as needed.
 
@@ -207,6 +232,9 @@ def sample(
     quick : bool
         Whether to do with fewer walkers, and without the last step of the ladder, which takes the
         longest.
+    enough : float, optional
+        Effective draws with which independent walkers may stop, bulk and tail of every parameter;
+        by default they take all their steps.
 
     Returns
     -------
@@ -214,7 +242,10 @@ def sample(
         Its `converged` says whether it may be used.
     """
     seeds = np.random.SeedSequence(seed).spawn(4)
-    walkers = _FEW_WALKERS if quick else _WALKERS
+    walkers = most = _FEW_WALKERS if quick else _WALKERS
+    if enough is not None:
+        walkers = int(np.clip(enough / 5, _FEW_WALKERS, most))
+    budget = _Budget(walkers, max(2, round(_STEPS * effort * most / walkers)), enough)
     optimum = np.asarray(optimum, float)
     proposal = _laplace(problem, optimum, local_optima)
     why: list[str] = []
@@ -226,7 +257,7 @@ def sample(
     if efficiency >= limit:
         reason = f"the Laplace t reaches an importance efficiency of {efficiency:.2f}"
         result = _independent(
-            problem, proposal, start, "laplace-t", reason, seed, seeds[1], walkers, effort
+            problem, proposal, start, "laplace-t", reason, seed, seeds[1], budget
         )
         if result.converged:
             return result
@@ -239,9 +270,8 @@ def sample(
     if quick and efficiency < _HOPELESS:
         # A short run that shows by its own diagnostics that it cannot be used.
         reason = "; ".join([*why, "no pilot run was made at this effort"])
-        return _independent(
-            problem, proposal, start, "laplace-t", reason, seed, seeds[1], walkers, 0.1 * effort
-        )
+        few = _Budget(walkers, max(2, round(0.1 * _STEPS * effort)))
+        return _independent(problem, proposal, start, "laplace-t", reason, seed, seeds[1], few)
     pilot = _pilot(problem, start.points, seeds[2], _FEW_STEPS if quick else _PILOT_STEPS)
     mixture = fitted_mixture(
         pilot, problem.lower, problem.upper, seed=int(seeds[2].generate_state(1)[0])
@@ -250,9 +280,7 @@ def sample(
     efficiency = start.efficiency
     if efficiency >= EFFICIENCY_LIMIT * ideal / 2 or quick:
         reason = "; ".join([*why, f"a mixture fitted to a pilot run reaches {efficiency:.2f}"])
-        result = _independent(
-            problem, mixture, start, "mixture-t", reason, seed, seeds[1], walkers, effort
-        )
+        result = _independent(problem, mixture, start, "mixture-t", reason, seed, seeds[1], budget)
         if result.converged or quick:
             return result
         why.append(f"the mixture did not converge ({result.unmet[0]})")
@@ -270,14 +298,7 @@ def _laplace(
         hessian = curvature(problem, point).hessian
         return laplace_t(point, hessian, problem.lower, problem.upper)
 
-    modes = [optimum]
-    top = float(problem.log_likelihood(optimum[None])[0])
-    for point in [] if local_optima is None else local_optima:
-        height = float(problem.log_likelihood(point[None])[0])
-        size = np.maximum(np.abs(point), 1e-3)
-        apart = all(np.max(np.abs(point - mode) / size) > 0.02 for mode in modes)
-        if apart and top - _NEGLIGIBLE < height < top - 1e-2:
-            modes.append(point)
+    modes = modes_of(problem, optimum, local_optima)
     shares = [1.0] if len(modes) == 1 else [0.8, *[0.2 / (len(modes) - 1)] * (len(modes) - 1)]
     return combined([about(mode) for mode in modes], shares)
 
@@ -320,8 +341,7 @@ def _independent(
     reason: str,
     seed: int,
     seeds: np.random.SeedSequence,
-    walkers: int,
-    effort: float,
+    budget: _Budget,
 ) -> Posterior:
     """Independence Metropolis-Hastings: every walker is a chain of its own."""
 
@@ -329,33 +349,39 @@ def _independent(
         new = proposal.draw(len(coords), random)
         return new, proposal.log_density(coords) - proposal.log_density(new)
 
-    n_steps = max(2, round(_STEPS * effort))
-    chains, scores, accepted = [], [], []
+    left = np.log(_LEFT) / np.log1p(-min(start.efficiency, 0.999))
+    burn = int(np.clip(np.ceil(left), _LEAST_BURN, _MOST_BURN)) if start.efficiency else _MOST_BURN
+    samplers, states = [], []
     for point, child in zip(start.apart, seeds.spawn(N_ENSEMBLES), strict=True):
         sampler = emcee.EnsembleSampler(
-            walkers,
+            budget.walkers,
             len(problem.names),
             problem.log_posterior,
             moves=emcee.moves.MHMove(propose),
             vectorize=True,
         )
-        first = point[None].repeat(walkers, axis=0)
-        state = sampler.run_mcmc(_state(first, child), _BURN, skip_initial_state_check=True)
+        first = point[None].repeat(budget.walkers, axis=0)
+        states.append(sampler.run_mcmc(_state(first, child), burn, skip_initial_state_check=True))
         sampler.reset()
-        sampler.run_mcmc(state, n_steps, skip_initial_state_check=True)
-        chains.append(sampler.get_chain().swapaxes(0, 1))
-        scores.append(sampler.get_log_prob().T)
-        accepted.append(sampler.acceptance_fraction.mean())
-    return Posterior.judged(
-        problem.names,
-        np.stack(chains),
-        np.stack(scores),
-        independent=True,
-        step=step,
-        reason=reason,
-        acceptance=float(np.mean(accepted)),
-        seed=seed,
-    )
+        samplers.append(sampler)
+    n_steps, taken = budget.first(), 0
+    while True:
+        for i, sampler in enumerate(samplers):
+            states[i] = sampler.run_mcmc(states[i], n_steps, skip_initial_state_check=True)
+        taken += n_steps
+        found = Posterior.judged(
+            problem.names,
+            np.stack([sampler.get_chain().swapaxes(0, 1) for sampler in samplers]),
+            np.stack([sampler.get_log_prob().T for sampler in samplers]),
+            independent=True,
+            step=step,
+            reason=reason,
+            acceptance=float(np.mean([s.acceptance_fraction.mean() for s in samplers])),
+            seed=seed,
+        )
+        n_steps = min(2 * taken, budget.most_steps - taken)
+        if not n_steps or budget.suffices(found):
+            return found
 
 
 def _pilot(

@@ -233,7 +233,7 @@ def widths(
     posterior = sampler(problem, best.values, seed=seed, local_optima=best.reached, quick=quick)
     moments = None
     if referee and len(problem.names) <= 3:
-        moments = quadrature(problem, best.values)
+        moments = quadrature(problem, best.values, local_optima=best.reached)
     rows = tuple(
         _row(problem, i, best, shape, profiles[i], posterior, moments)
         for i in range(len(problem.names))

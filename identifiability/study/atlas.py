@@ -14,6 +14,7 @@ import tomllib
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import Executor
 from dataclasses import dataclass, field, fields, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,6 +22,7 @@ import numpy as np
 
 from identifiability.errors import InputError
 from identifiability.inference.problem import Problem
+from identifiability.inference.sampling import sample
 from identifiability.inference.widths import Widths, widths
 from identifiability.measurement.noise import READINGS
 from identifiability.measurement.perturbations import PERTURBATIONS, WINDOWS
@@ -31,6 +33,7 @@ from identifiability.sweep.outcome import Arrays, Outcome
 from identifiability.sweep.run import sweep
 
 N_DRAWS = 250
+ENOUGH = 1_000.0  # effective draws of a cell's posterior
 LONGEST = 10.0  # [s]; beyond it a duration is likely to be in milliseconds
 TIME_LIMIT = 900.0  # for one cell [s]; it takes about one, but compiles for each new array shape
 
@@ -104,7 +107,12 @@ class Cell:
 
     def widths(self, problem: Problem) -> Widths:
         """All widths of K, B and I; `problem` is the cell's own."""
-        return widths(problem, starts=self.setting.starts(), seed=self.own_seed)
+        return widths(
+            problem,
+            starts=self.setting.starts(),
+            seed=self.own_seed,
+            sampler=partial(sample, enough=ENOUGH),
+        )
 
 
 class Drawn(NamedTuple):
