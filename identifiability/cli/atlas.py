@@ -25,7 +25,8 @@ def add_parser(commands: Any) -> None:
         "a grid of musculoskeletal models, perturbations, durations and noise. An interrupted run "
         "goes on where it was when the same command is typed again.",
         **with_examples(
-            "atlas --out results",
+            "atlas --out coarse",
+            "atlas paper --out results",
         ),
     )
     parser.add_argument(
@@ -34,8 +35,8 @@ def add_parser(commands: Any) -> None:
         type=Path,
         metavar="CONFIG.toml",
         help='lists K_CE, B_CE, ratio, T, perturbations, readings; grid = "paper" for the whole '
-        "paper; corner = [[K_CE, B_CE, K_SE, I], ...]; seed, dE, rate, correlation_time. Without "
-        "it: a coarse grid that spans the paper's",
+        "paper; corner = [[K_CE, B_CE, K_SE, I], ...]; seed, draws, dE, rate, correlation_time. "
+        "Without it: a coarse grid that spans the paper's; the word paper: the whole of it",
     )
     add_out_option(parser)
     add_workers_option(parser)
@@ -47,7 +48,7 @@ def run(options: argparse.Namespace) -> int:
     check_workers(options)
 
     from identifiability.files import output_folder, write_json, write_text
-    from identifiability.plots.atlas import draw_corners, maps
+    from identifiability.plots.atlas import draw_corners, drawings
     from identifiability.plots.style import save
     from identifiability.report.atlas import page
     from identifiability.study.atlas import read_plan, run_atlas
@@ -62,9 +63,10 @@ def run(options: argparse.Namespace) -> int:
     write_atlas(data, out / "atlas.nc")
     drawn, corners = draw_corners(plan, cells, folder=out / "atlas", workers=options.workers)
     figures = []
-    for found in maps(data):
+    for found in drawings(data):
         path = save(found.draw(), out / "atlas" / f"{found.stem}.png")
-        figures.append({"file": path.relative_to(out).as_posix(), "caption": found.caption})
+        file = path.relative_to(out).as_posix()
+        figures.append({"file": file, "kind": found.kind, "caption": found.caption})
     command = ["identifiability", "atlas", *([str(options.config)] if options.config else [])]
     summary = record(
         data,

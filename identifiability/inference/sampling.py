@@ -256,9 +256,7 @@ def sample(
     limit = EFFICIENCY_LIMIT * ideal * float(proposal.weights[0])
     if efficiency >= limit:
         reason = f"the Laplace t reaches an importance efficiency of {efficiency:.2f}"
-        result = _independent(
-            problem, proposal, start, "laplace-t", reason, seed, seeds[1], budget
-        )
+        result = _independent(problem, proposal, start, "laplace-t", reason, seed, seeds[1], budget)
         if result.converged:
             return result
         why.append(f"the Laplace t did not converge ({result.unmet[0]})")

@@ -1,10 +1,12 @@
-"""Maps of the atlas over stiffness and damping of the muscle."""
+"""Figures of the atlas: spread against predictions, and maps over the muscle's K and B."""
 
 from __future__ import annotations
 
 import io
+import json
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,8 +21,8 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullLocator
 
 from identifiability.files import replacing
-from identifiability.inference.widths import VERDICTS
-from identifiability.palette import BLUE, GREY, ORANGE, SKY, VERMILLION, YELLOW
+from identifiability.inference.widths import VERDICTS, WIDTH_TOLERANCE
+from identifiability.palette import BLACK, BLUE, GREY, ORANGE, SKY, VERMILLION, YELLOW
 from identifiability.plots.corner import corner_figure
 from identifiability.plots.style import DPI, MAP, styled
 from identifiability.study.atlas import Corner, Plan
@@ -33,8 +35,9 @@ COLOURS = dict(zip(VERDICTS, (BLUE, SKY, YELLOW, ORANGE, VERMILLION, GREY), stri
     NO_RESULT: _MISSING
 }
 
-_MOST_LABELLED = 8  # cells along an axis that still have room for a number
 _LARGEST_RATIO = 10.0
+PREDICTED = {"quadratic": "the quadratic width", "change": "the paper's Eq. 15"}
+_AXES = {"quadratic": "quadratic width", "change": "Eq. 15"}
 
 
 def corner_plot(corner: Corner) -> Arrays:
@@ -106,74 +109,175 @@ def draw_corners(
     return drawn, outcomes
 
 
-class Map(NamedTuple):
+class Drawing(NamedTuple):
     """A figure of the atlas.
 
     Attributes
     ----------
     stem : str
         Name of its file, without suffix.
+    kind : {"tracking", "tolerance", "map"}
     caption : str
     draw : function
         Makes the figure.
     """
 
     stem: str
+    kind: str
     caption: str
     draw: Callable[[], Figure]
 
 
-def maps(data: xr.Dataset) -> Iterator[Map]:
-    """All figures of an atlas: verdicts, ratios of widths, and optima, for each tendon and torque.
+def drawings(data: xr.Dataset) -> Iterator[Drawing]:
+    """All figures of an atlas: spread against predictions, tolerances, and maps.
 
     Parameters
     ----------
     data : Dataset
         From `study.store`.
     """
+    for field, title in PREDICTED.items():
+        yield Drawing(
+            f"tracking_{field}",
+            "tracking",
+            f"Posterior standard deviation of every cell against {title}; on the line they are "
+            "equal.",
+            partial(tracking_figure, data, field),
+        )
+    yield Drawing(
+        "tolerance",
+        "tolerance",
+        "Share of cells in which none of the three quadratic widths is off by more than a "
+        "tolerance; the dotted line is the one of the verdicts.",
+        partial(tolerance_figure, data),
+    )
+    for reading in data["reading"].values.tolist():
+        part = data.sel(reading=reading)
+        yield Drawing(
+            f"verdict_{reading}",
+            "map",
+            f"{reading.capitalize()} noise: does the quadratic width hold, and if not, why not. "
+            "Circles: models whose posteriors are drawn above.",
+            partial(verdict_figure, part),
+        )
+        for name in data["parameter"].values.tolist():
+            yield Drawing(
+                f"ratio_{name}_{reading}",
+                "map",
+                f"{reading.capitalize()} noise: posterior standard deviation of {name}, divided "
+                "by its quadratic width (grey: no result, or a Hessian that gives no width).",
+                partial(ratio_figure, part, name),
+            )
     for perturbation in data["perturbation"].values.tolist():
-        for ratio in data["ratio"].values.tolist():
-            part = data.sel(perturbation=perturbation, ratio=ratio)
-            torque = perturbation.replace("_", " ").capitalize()
-            where = f"{torque}, K_SE = {ratio:g} K_CE"
-            title = rf"{torque}, $K_{{SE}} = {ratio:g}\,K_{{CE}}$"
-            suffix = f"{perturbation}_{ratio:g}"
-            yield Map(
-                f"verdict_{suffix}",
-                f"{where}: does the quadratic width hold, and if not, why not.",
-                lambda part=part, title=title: verdict_figure(part, title),  # type: ignore[misc]
-            )
-            for name in data["parameter"].values.tolist():
-                yield Map(
-                    f"ratio_{name}_{suffix}",
-                    f"{where}: posterior standard deviation of {name}, divided by its quadratic "
-                    "width (grey: no result, or a Hessian that gives no width).",
-                    lambda part=part, title=title, name=name: ratio_figure(  # type: ignore[misc]
-                        part, title, name
-                    ),
-                )
-            yield Map(
-                f"optimum_{suffix}",
-                f"{where}: error E*, stiffness K and damping B at the optimum.",
-                lambda part=part, title=title: optimum_figure(part, title),  # type: ignore[misc]
-            )
+        yield Drawing(
+            f"optimum_{perturbation}",
+            "map",
+            f"{_words(perturbation)}: error E*, stiffness K and damping B at the optimum.",
+            partial(optimum_figure, data.sel(perturbation=perturbation)),
+        )
+
+
+def _words(key: str) -> str:
+    return key.replace("_", " ").capitalize()
 
 
 @styled()
-def verdict_figure(part: xr.Dataset, title: str) -> Figure:
-    """Verdicts over (K_CE, B_CE), for each duration and reading.
+def tracking_figure(data: xr.Dataset, field: str) -> Figure:
+    """Posterior sd against a prediction of it, a point a cell, by parameter and duration.
+
+    Parameters
+    ----------
+    data : Dataset
+        From `study.store`.
+    field : str
+        A key of `PREDICTED`.
+    """
+    names, durations = data["parameter"].values.tolist(), data["T"].values.tolist()
+    figure = Figure(figsize=(3.1 * len(durations) + 0.9, 2.8 * len(names) + 0.9))
+    axes = figure.subplots(len(names), len(durations), squeeze=False, sharex="row", sharey="row")
+    readings = data["reading"].values.tolist()
+    for row, name in zip(axes, names, strict=True):
+        unit = data["unit"].sel(parameter=name).item()
+        for panel, T in zip(row, durations, strict=True):
+            cells = data.sel(parameter=name, T=T)
+            for reading, colour in zip(readings, (VERMILLION, BLUE), strict=False):
+                x, y = (
+                    cells[f].sel(reading=reading).values.ravel() for f in (field, "posterior_sd")
+                )
+                shown = (x > 0) & (y > 0) & np.isfinite(x)
+                panel.loglog(
+                    x[shown],
+                    y[shown],
+                    ".",
+                    ms=2.5,
+                    alpha=0.5,
+                    color=colour,
+                    label=f"{reading} noise",
+                    rasterized=True,
+                )
+            panel.axline((1e-3, 1e-3), (1.0, 1.0), color=BLACK, lw=0.9)
+            if name == names[0]:
+                panel.set_title(f"T = {1000 * T:g} ms")
+        row[0].set_ylabel(f"posterior sd of {name} [{unit}]")
+        for panel in row:
+            panel.set_xlabel(f"{_AXES[field]} of {name} [{unit}]")
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=2, markerscale=4)
+    return figure
+
+
+@styled()
+def tolerance_figure(data: xr.Dataset) -> Figure:
+    """Share of cells in which the widths hold, against what is called holding.
+
+    Parameters
+    ----------
+    data : Dataset
+        From `study.store`.
+    """
+    figure = Figure(figsize=(7.2, 4.2))
+    panel = figure.subplots()
+    styles = ("-", "--")
+    colours = (VERMILLION, ORANGE, BLUE, SKY, GREY)
+    worst = abs(data["posterior_sd"] / data["quadratic"] - 1).max("parameter", skipna=False)
+    for reading, style in zip(data["reading"].values.tolist(), styles, strict=False):
+        for T, colour in zip(data["T"].values.tolist(), colours, strict=False):
+            part = data.sel(reading=reading, T=T)["status"].values == "done"
+            values = worst.sel(reading=reading, T=T).values[part]
+            off = np.sort(np.where(np.isfinite(values), values, np.inf))
+            if not off.size:
+                continue
+            shares = np.arange(1, off.size + 1) / off.size
+            label = f"{1000 * T:g} ms, {reading}"
+            panel.step(off, 100 * shares, style, where="post", color=colour, label=label)
+    panel.axvline(WIDTH_TOLERANCE, color=BLACK, lw=1, ls=":")
+    panel.set(
+        xscale="log",
+        xlim=(0.01, 2.0),
+        ylim=(0, 101),
+        xlabel="largest relative error of a quadratic width",
+        ylabel="cells [%]",
+    )
+    panel.set_xticks([0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2])
+    panel.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{100 * value:g} %"))
+    panel.xaxis.set_minor_locator(NullLocator())
+    panel.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+    return figure
+
+
+@styled()
+def verdict_figure(part: xr.Dataset) -> Figure:
+    """Verdicts over (K_CE, B_CE), for each perturbation, tendon and duration.
 
     Parameters
     ----------
     part : Dataset
-        One perturbation and ratio of the atlas.
-    title : str
-        Which, in words.
+        One reading of the atlas.
     """
     names = list(COLOURS)
     colours = ListedColormap(list(COLOURS.values()))
     norm = BoundaryNorm(np.arange(len(names) + 1) - 0.5, len(names))
-    figure, axes = _grid(part, part["reading"].size)
+    figure, axes = _grid(part)
     present = set()
     for panel, cells in _panels(part, axes):
         words = np.where(cells["status"] == "done", cells["verdict"], NO_RESULT)
@@ -188,17 +292,16 @@ def verdict_figure(part: xr.Dataset, title: str) -> Figure:
         loc="outside lower center",
         ncols=len(present),
     )
-    figure.suptitle(f"Verdict on the quadratic widths\n{title}")
     return figure
 
 
 @styled()
-def ratio_figure(part: xr.Dataset, title: str, name: str) -> Figure:
+def ratio_figure(part: xr.Dataset, name: str) -> Figure:
     """Posterior over quadratic width of one parameter over (K_CE, B_CE).
 
     Parameters
     ----------
-    part, title
+    part : Dataset
         See `verdict_figure`.
     name : str
         Parameter.
@@ -206,25 +309,20 @@ def ratio_figure(part: xr.Dataset, title: str, name: str) -> Figure:
     part = part.sel(parameter=name)
     ratios = part["posterior_sd"] / part["quadratic"]
     finite = np.abs(np.log(ratios.values[np.isfinite(ratios.values) & (ratios.values > 0)]))
-    most = float(np.clip(np.exp(finite.max(initial=0.0)), 1.25, _LARGEST_RATIO))
+    # Nearly all of the cells, so that the few that are furthest off do not bleach the rest.
+    far = np.quantile(finite, 0.98) if finite.size else 0.0
+    most = float(np.clip(np.exp(far), 1.25, _LARGEST_RATIO))
     norm = LogNorm(1 / most, most)
-    figure, axes = _grid(part, part["reading"].size)
+    figure, axes = _grid(part)
     images = [
-        _image(
-            panel,
-            (cells["posterior_sd"] / cells["quadratic"]).values,
-            norm,
-            "PuOr_r",
-            cells,
-            number=lambda value: f"{value:.2f}",
-        )
+        _image(panel, (cells["posterior_sd"] / cells["quadratic"]).values, norm, "PuOr_r", cells)
         for panel, cells in _panels(part, axes)
     ]
     bar = figure.colorbar(
         images[0],
         ax=axes,
-        label="posterior sd / quadratic width",
-        extend="both" if most == _LARGEST_RATIO else "neither",
+        label=f"posterior sd / quadratic width of {name}",
+        extend="both",
         shrink=0.8,
     )
     steps = [0.1, 0.2, 0.3, 0.5, 0.7, 0.8, 0.9, 1, 1.1, 1.25, 1.4, 2, 3, 5, 10]
@@ -233,21 +331,20 @@ def ratio_figure(part: xr.Dataset, title: str, name: str) -> Figure:
         ticks = [t for t in ticks if t not in (0.7, 0.8, 0.9, 1.1, 1.25, 1.4)]
     bar.ax.yaxis.set_major_locator(FixedLocator(ticks))
     _plain_ticks(bar)
-    figure.suptitle(f"Width of {name}: posterior / quadratic\n{title}")
     return figure
 
 
 @styled()
-def optimum_figure(part: xr.Dataset, title: str) -> Figure:
-    """E*, K and B at the optimum over (K_CE, B_CE), for each duration.
+def optimum_figure(part: xr.Dataset) -> Figure:
+    """E*, K and B at the optimum over (K_CE, B_CE), for each tendon and duration.
 
     The optimum of a noise-free response depends on the reading of the noise only where the noise
     is correlated; the first reading is drawn.
 
     Parameters
     ----------
-    part, title
-        See `verdict_figure`.
+    part : Dataset
+        One perturbation of the atlas.
     """
     part = part.isel(reading=0)
     quantities = {
@@ -256,31 +353,39 @@ def optimum_figure(part: xr.Dataset, title: str) -> Figure:
         "B [Nms/rad]": part["optimum"].sel(parameter="B"),
     }
     figure, axes = _grid(part, len(quantities))
-    for panel, T in zip(axes[0], part["T"].values, strict=True):
-        panel.set_title(f"T = {1000 * T:g} ms")
     for row, (label, values) in zip(axes, quantities.items(), strict=True):
         positive = values.values[values.values > 0]
         largest = positive.max(initial=1e-12)
         # E* spans many decades; a B below a ten-thousandth of the largest is as good as zero.
         smallest = max(positive.min(initial=largest), largest * (0 if label == "E*" else 1e-4))
         norm = LogNorm(smallest, largest if largest > smallest else 2 * smallest)
-        for panel, T in zip(row, part["T"].values, strict=True):
-            image = _image(
-                panel, values.sel(T=T).values, norm, MAP, part, number=_short, floor=smallest
-            )
+        for panel, place in zip(row, _columns(part), strict=True):
+            image = _image(panel, values.sel(place).values, norm, MAP, part, floor=smallest)
         below = "min" if np.any(values.values < smallest) else "neither"
         bar = figure.colorbar(image, ax=row.tolist(), label=label, extend=below, shrink=0.9)
         if label != "E*":
             bar.ax.yaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
             _plain_ticks(bar)
-    figure.suptitle(f"Best fit of KBI\n{title}")
     return figure
 
 
-def _grid(part: xr.Dataset, rows: int) -> tuple[Figure, np.ndarray]:
-    columns = part["T"].size
-    figure = Figure(figsize=(3.1 * columns + 1.6, 2.5 * rows + 1.3))
-    axes = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
+def _columns(part: xr.Dataset) -> list[dict[str, float]]:
+    """Tendon and duration of each column of panels."""
+    return [
+        {"ratio": ratio, "T": T}
+        for ratio in part["ratio"].values.tolist()
+        for T in part["T"].values.tolist()
+    ]
+
+
+def _grid(part: xr.Dataset, rows: int | None = None) -> tuple[Figure, np.ndarray]:
+    columns = _columns(part)
+    n_rows = part["perturbation"].size if rows is None else rows
+    figure = Figure(figsize=(1.75 * len(columns) + 2.0, 1.7 * n_rows + 1.2))
+    axes = figure.subplots(n_rows, len(columns), squeeze=False, sharex=True, sharey=True)
+    for panel, place in zip(axes[0], columns, strict=True):
+        tendon = rf"$K_{{SE}} = {place['ratio']:g}\,K_{{CE}}$"
+        panel.set_title(f"{tendon}\n{1000 * place['T']:g} ms", fontsize=11)
     for panel in axes[-1]:
         panel.set_xlabel(r"$K_{CE}$ [Nm/rad]")
     for panel in axes[:, 0]:
@@ -289,20 +394,19 @@ def _grid(part: xr.Dataset, rows: int) -> tuple[Figure, np.ndarray]:
 
 
 def _panels(part: xr.Dataset, axes: np.ndarray) -> Iterator[tuple[Axes, xr.Dataset]]:
-    """Each panel with the cells that belong there: readings are rows, durations columns."""
-    for panel, T in zip(axes[0], part["T"].values, strict=True):
-        panel.set_title(f"T = {1000 * T:g} ms")
-    for row, reading in zip(axes, part["reading"].values, strict=True):
+    """Each panel with the cells that belong there: a row a perturbation."""
+    for row, perturbation in zip(axes, part["perturbation"].values.tolist(), strict=True):
         row[-1].annotate(
-            f"{reading} noise",
-            (1.03, 0.5),
+            _words(perturbation).replace(" ", "\n", 1),
+            (1.06, 0.5),
             xycoords="axes fraction",
             rotation=270,
+            ha="left",
             va="center",
-            fontsize=12,
+            fontsize=11,
         )
-        for panel, T in zip(row, part["T"].values, strict=True):
-            yield panel, part.sel(reading=reading, T=T)
+        for panel, place in zip(row, _columns(part), strict=True):
+            yield panel, part.sel(perturbation=perturbation, **place)
 
 
 def _plain_ticks(bar: Colorbar) -> None:
@@ -317,7 +421,6 @@ def _image(
     colours: Colormap | str,
     cells: xr.Dataset,
     *,
-    number: Callable[[float], str] | None = None,
     floor: float = 0.0,
 ) -> AxesImage:
     """Draw values of shape (K_CE, B_CE), one square a cell whatever the steps of the grid."""
@@ -333,33 +436,24 @@ def _image(
     )
     for axis, name in ((panel.xaxis, "K_CE"), (panel.yaxis, "B_CE")):
         labels = cells[name].values
-        shown = np.arange(0, labels.size, -(-labels.size // 7))
+        shown = np.unique(np.linspace(0, labels.size - 1, 4).round().astype(int))
         axis.set_ticks(shown, [f"{labels[i]:g}" for i in shown])
     for axis, n in ((panel.xaxis, values.shape[1]), (panel.yaxis, values.shape[0])):
         axis.set_ticks(np.arange(n + 1) - 0.5, minor=True)
-    panel.grid(which="minor", color="white", linewidth=0.8)
+    panel.grid(which="minor", color="white", linewidth=0.3)
     panel.tick_params(which="both", length=0)
     for spine in panel.spines.values():
         spine.set_visible(False)
-    if number is not None and max(values.shape) <= _MOST_LABELLED:
-        for (i, j), value in np.ndenumerate(values):
-            if np.isfinite(value):
-                red, green, blue, _ = image.cmap(norm(max(value, floor)))
-                light = 0.299 * red + 0.587 * green + 0.114 * blue > 0.55
-                panel.text(
-                    j,
-                    i,
-                    number(value),
-                    ha="center",
-                    va="center",
-                    fontsize=8.5,
-                    color="black" if light else "white",
-                )
+    plan = json.loads(cells.attrs["plan"])
+    for K_CE, B_CE, K_SE, _ in plan["corner"]:
+        if (
+            "ratio" in cells.coords
+            and abs(float(cells["ratio"]) - K_SE / K_CE) > 0.25 * K_SE / K_CE
+        ):
+            continue
+        at = (
+            np.interp(value, cells[name].values, np.arange(cells[name].size))
+            for value, name in ((K_CE, "K_CE"), (B_CE, "B_CE"))
+        )
+        panel.plot(*at, "o", ms=5, mfc="none", mec=BLACK, mew=1.1)
     return image
-
-
-def _short(value: float) -> str:
-    if value == 0 or 0.001 <= value < 1e4:
-        return f"{value:.2g}" if value < 100 else f"{value:.0f}"
-    mantissa, exponent = f"{value:.0e}".split("e")
-    return f"{mantissa}e{int(exponent)}".replace("-", "−")

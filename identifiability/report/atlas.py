@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from identifiability.inference.curvature import NORMAL_95
@@ -40,14 +40,16 @@ def page(record: Record) -> str:
     sections = [_head(record)]
     if record["cells"]["done"]:
         sections += [
-            _short(record),
+            _answer(record),
+            _tracking(record),
             _verdicts(record),
             _ratios(record),
             _why(record),
-            _stiffness(record),
+            _conventions(record),
+            _structural(record),
             _trust(record),
         ]
-    sections += [_failed(record), _figures(record), _again(record)]
+    sections += [_failed(record), _posteriors(record), _maps(record), _again(record)]
     return "\n\n".join(_filled(section.strip()) for section in sections if section) + "\n"
 
 
@@ -60,41 +62,44 @@ def _head(record: Record) -> str:
             f"first-order autoregressive (correlation time {1000 * plan['correlation_time']:g} ms)"
         )
     return f"""\
-# Where the quadratic widths of K, B and I hold
+# Does the spread of K, B and I follow the Hessian?
 
 A joint with known muscle and tendon is perturbed, stiffness K, damping B and inertia I are fitted
 to its response, and the question is how well the response determines them. The usual answer, also
 that of Kistemaker & Rozendaal (2011), is an ellipse from the curvature (Hessian) of the error at
-its minimum. It is exact where the error is a parabola for as far as the data leave the parameters
-free, and where no impossible value (K or B below zero) lies within reach. This page compares it
-with the full posterior distribution, sampled by MCMC with those impossible values excluded.
-
-The grid: K_CE {_range(plan["K_CE"], "Nm/rad")}, B_CE {_range(plan["B_CE"], "Nms/rad")},
-K_SE = {_listed(f"{r:g}" for r in plan["ratio"])} times K_CE, I = 0.1 kg m²; {durations} ms of the
-response to {_listed(words(p) for p in plan["perturbations"])}, sampled at {plan["rate"]:g} Hz, with
-{noise} noise. {cells["done"]} of {cells["total"]} cells have a result.
-
-The noise is matched to the paper's ΔE = {plan["dE"]:g} in two readings. *contour*: one standard
-deviation along the least certain direction is the paper's change of parameters. *energy*: the noise
-itself has an error of ΔE, which is less noise, the less the more samples there are."""
+its minimum. This page compares it with the full posterior distribution, sampled by MCMC within the
+bounds that any joint has (K and B not below zero), in {cells["done"]} of {cells["total"]} cells:
+{len(plan["K_CE"])} stiffnesses x {len(plan["B_CE"])} dampings of the muscle (K_CE
+{_range(plan["K_CE"], "Nm/rad")}, B_CE {_range(plan["B_CE"], "Nms/rad")}), tendons of K_SE =
+{_listed(f"{r:g}" for r in plan["ratio"])} K_CE, I = 0.1 kg m², the response to
+{_listed(words(p) for p in plan["perturbations"])} over {durations} ms, sampled at
+{plan["rate"]:g} Hz, with {noise} noise in {len(plan["readings"])} readings of the paper's
+ΔE = {plan["dE"]:g}. *contour*: one standard deviation along the least certain direction is the
+paper's change of parameters (Eq. 15). *energy*: the noise itself has an error E of ΔE, which is
+less noise, the less the more samples there are."""
 
 
-def _short(record: Record) -> str:
-    criteria = record["criteria"]
+def _answer(record: Record) -> str:
+    """What was found, in the order in which it is asked."""
     lines = []
-    for reading in dict.fromkeys(group["reading"] for group in record["verdicts"]):
-        groups = [g for g in record["verdicts"] if g["reading"] == reading]
-        total = sum(g["of"] for g in groups)
-        counts = {v: sum(g["counts"].get(v, 0) for g in groups) for v in VERDICTS}
-        agreeing = _listed(
-            f"{g['counts'].get('agrees', 0)} of {g['of']} at {_milliseconds(g['T'])}"
-            for g in groups
+    for reading in dict.fromkeys(group["reading"] for group in record["tracking"]):
+        shares = _listed(
+            f"{percent(_of_all(record, reading, T, 'within_tenth'))} at {_milliseconds(T)}"
+            for T in record["plan"]["T"]
+            if _of_all(record, reading, T, "within_tenth") is not None
         )
-        others = [f"{v} in {n}" for v, n in counts.items() if n and v != "agrees"]
-        line = (
-            f"- *{reading}*: the ellipse holds in {counts['agrees']} of {total} cells ({agreeing})"
+        slopes = [
+            group["slope"]["value"]
+            for group in _tracked(record, reading)
+            if group["prediction"] == "quadratic"
+        ]
+        if not slopes:
+            continue
+        lines.append(
+            f"- **{reading.capitalize()} noise.** Of the posterior's standard deviations, {shares} "
+            f"are within a tenth of the quadratic width. Their logarithms follow it with slopes of "
+            f"{min(slopes):.2f} to {max(slopes):.2f} (1 is proportion)."
         )
-        lines.append(f"{line}; it is {_listed(others)}." if others else f"{line}.")
     near = [
         [
             c
@@ -107,16 +112,103 @@ def _short(record: Record) -> str:
     (close, close_of), (far, far_of) = (
         (sum(c["agrees"] for c in classes), sum(c["of"] for c in classes)) for classes in near
     )
-    verdicts = "\n".join(lines)
-    return f"""\
-## In short
+    lines.append(
+        f"- **Where not, and why.** Where the optimum lies less than {AWAY:g} quadratic widths from "
+        f"an impossible value, the ellipse holds in {_share(close, close_of)} of the cells, since "
+        f"the bound cuts it; elsewhere in {_share(far, far_of)}, and what is left is bent: the "
+        "error is no parabola over the width of the posterior. *Holds* is strict: widths to "
+        f"{percent(record['criteria']['width_tolerance'])}, ends of the 95 % interval to "
+        f"{record['criteria']['end_tolerance']:g} widths, for K, B and I at once."
+    )
+    for group in record["structural"]:
+        if group["reading"] != record["structural"][-1]["reading"]:
+            continue
+        slow = group["slow"]
+        lines.append(
+            f"- **What no width says** ({group['reading']} noise, {_milliseconds(group['T'])}). The "
+            f"fitted K differs from the stiffness that a slow perturbation meets by "
+            f"{_percent_signed(slow['q50'])} in the median ({_percent_signed(slow['q5'])} to "
+            f"{_percent_signed(slow['q95'])}), which is {slow['sds']:.1f} posterior standard "
+            f"deviations; in {percent(slow['beyond_two_sd'])} of the cells it is more than two."
+        )
+    return "## The answer\n\n" + "\n".join(lines)
 
-{verdicts}
 
-Where the optimum lies less than {AWAY:g} quadratic widths from an impossible value, the ellipse
-holds in {close} of {close_of} cells; elsewhere in {far} of {far_of}. *Holds* is strict: widths to
-{percent(criteria["width_tolerance"])}, ends of the 95 % interval to {criteria["end_tolerance"]:g}
-widths, for K, B and I at once."""
+def _tracked(record: Record, reading: str) -> list[Record]:
+    return [g for g in record["tracking"] if g["reading"] == reading and "slope" in g]
+
+
+def _of_all(record: Record, reading: str, T: float, name: str) -> float | None:
+    """Share over the three parameters of the cells of a reading and duration."""
+    groups = [
+        g for g in _tracked(record, reading) if g["T"] == T and g["prediction"] == "quadratic"
+    ]
+    if not groups:
+        return None
+    whole = sum(g["of"] for g in groups)
+    return float(sum(g[name]["value"] * g["predicted"] for g in groups) / whole)
+
+
+def _share(n: int, of: int) -> str:
+    return f"{n} of {of} ({percent(n / of)})" if of else "none of none"
+
+
+def _tracking(record: Record) -> str:
+    text = """\
+## Does posterior spread follow the prediction?
+
+Of each parameter: the correlation and the slope of the logarithm of the posterior's standard
+deviation against that of the prediction, the median of their ratio, and the share of cells in
+which they are within a tenth, and within a factor of two, of each other. Intervals (95 %) are by
+resampling the musculoskeletal models. *Eq. 15* is the paper's largest change of the parameters for
+the same ΔE in both readings; it is the prediction of the contour reading, and of the energy reading
+but for a factor that is the same in all cells of one duration.
+"""
+    for prediction, title in (("quadratic", "Quadratic width"), ("change", "Eq. 15")):
+        rows = [
+            [
+                group["reading"],
+                _milliseconds(group["T"]),
+                group["parameter"],
+                _interval(group["correlation"]),
+                _interval(group["slope"]),
+                number(group["ratio"]),
+                _interval(group["within_tenth"], percent),
+                _interval(group["within_twice"], percent),
+            ]
+            for group in record["tracking"]
+            if group["prediction"] == prediction and "slope" in group
+        ]
+        heads = ["Noise", "T", "", "correlation", "slope", "ratio", "within 10 %", "within 2 x"]
+        text += f"\n{title}:\n\n{table(heads, rows)}\n"
+    for figure in record["figures"]:
+        if figure["kind"] == "tracking":
+            text += f"\n![{figure['caption']}]({figure['file']})\n\n*{figure['caption']}*\n"
+    return text
+
+
+def _interval(found: Record, shown: Callable[[float], str] = "{:.2f}".format) -> str:
+    return f"{shown(found['value'])} ({shown(found['low'])} to {shown(found['high'])})"
+
+
+def _conventions(record: Record) -> str:
+    rows = []
+    for group in record["tolerances"]:
+        shares = [percent(w["share"]) for w in group["within"]]
+        rows.append([group["reading"], _milliseconds(group["T"]), *shares])
+    heads = [f"{100 * w['tolerance']:g} %" for w in record["tolerances"][0]["within"]]
+    text = f"""\
+## How much hangs on the tolerance
+
+Share of cells in which none of the three widths is off by more than a tolerance, the ends of
+intervals not asked for:
+
+{table(["Noise", "T", *heads], rows)}
+"""
+    for figure in record["figures"]:
+        if figure["kind"] == "tolerance":
+            text += f"\n![{figure['caption']}]({figure['file']})\n\n*{figure['caption']}*\n"
+    return text
 
 
 def _verdicts(record: Record) -> str:
@@ -278,20 +370,34 @@ def _distance_table(record: Record) -> tuple[list[str], list[list[str]]]:
     return ["Noise", *heads], rows
 
 
-def _stiffness(record: Record) -> str:
-    found = record["stiffness"]
-    change = found["change"]
-    if not change["finite"]:
-        return ""
+def _structural(record: Record) -> str:
+    names = {
+        "slow": "slow: K_CE K_SE / (K_CE + K_SE)",
+        "fast": "fast: K_SE",
+        "K_CE": "the muscle's: K_CE",
+    }
+    rows = [
+        [
+            group["reading"],
+            _milliseconds(group["T"]),
+            title,
+            _percent_signed(group[name]["q50"]),
+            f"{_percent_signed(group[name]['q5'])} to {_percent_signed(group[name]['q95'])}",
+            f"{group[name]['sds']:.1f}",
+            percent(group[name]["beyond_two_sd"]),
+        ]
+        for group in record["structural"]
+        for name, title in names.items()
+    ]
+    heads = ["Noise", "T", "stiffness", "median", "5 to 95 %", "in sd", "beyond 2 sd"]
     return f"""\
-## What agreement does not say
+## What no width says
 
-That the ellipse is right about the width does not make K the stiffness of the joint. In the
-{_cells(change["of"])} where all three widths agree, the fitted K differs from the stiffness that
-a slow perturbation would meet, K_CE K_SE / (K_CE + K_SE), by {_percent_signed(change["q50"])} in
-the median ({_percent_signed(change["q5"])} to {_percent_signed(change["q95"])} from the 5th to
-the 95th percentile), and in {found["beyond_two_sd"]} of them by more than two posterior standard
-deviations."""
+That the ellipse is right about the width does not make K the stiffness of the joint. How far the
+fitted K lies from each stiffness that the joint has, as a share of it and in posterior standard
+deviations (medians), and in how many cells by more than two of them:
+
+{table(heads, rows)}"""
 
 
 def _trust(record: Record) -> str:
@@ -356,19 +462,21 @@ The same command tries them again.{rest}
 {table(["Cell", "Status", "Cause"], rows)}"""
 
 
-def _figures(record: Record) -> str:
-    text = ""
-    if record["corners"]:
-        text += "## Posteriors\n"
-        for corner in record["corners"]:
-            text += (
-                f"\n{corner['caption']}: {corner['verdict']}; {corner['reason']}.\n\n"
-                f"![{corner['caption']}]({corner['file']})\n"
-            )
-    if record["figures"]:
-        text += "\n## Maps\n"
-        for figure in record["figures"]:
-            text += f"\n{figure['caption']}\n\n![{figure['caption']}]({figure['file']})\n"
+def _posteriors(record: Record) -> str:
+    text = "## Posteriors\n" if record["corners"] else ""
+    for corner in record["corners"]:
+        text += (
+            f"\n{corner['caption']}: {corner['verdict']}; {corner['reason']}.\n\n"
+            f"![{corner['caption']}]({corner['file']})\n"
+        )
+    return text
+
+
+def _maps(record: Record) -> str:
+    maps = [figure for figure in record["figures"] if figure["kind"] == "map"]
+    text = "## Maps\n" if maps else ""
+    for figure in maps:
+        text += f"\n{figure['caption']}\n\n![{figure['caption']}]({figure['file']})\n"
     return text
 
 

@@ -21,6 +21,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from identifiability.errors import InputError
+from identifiability.inference.curvature import curvature, largest_change
 from identifiability.inference.problem import Problem
 from identifiability.inference.sampling import sample
 from identifiability.inference.widths import Widths, widths
@@ -159,6 +160,8 @@ class Plan:
         Models whose corner plots are drawn, for each T, after the first perturbation and under the
         first reading.
     seed : int
+    draws : bool
+        Whether thinned draws of every posterior are stored.
     dE, rate, correlation_time : float
         See `measured_problem`.
     """
@@ -173,6 +176,7 @@ class Plan:
         default=(Drawn(32.0, 3.2, 100.0, 0.1), Drawn(32.0, 10.0, 320.0, 0.1))
     )
     seed: int = 1
+    draws: bool = True
     dE: float = 1e-3
     rate: float = 1000.0
     correlation_time: float = 0.0
@@ -250,11 +254,14 @@ PAPER = {
     "T": list(WINDOWS),
     "perturbations": list(PERTURBATIONS),
     "readings": list(READINGS),
+    "draws": False,
 }
 
 
 def read_plan(path: Path | None) -> Plan:
     """Read a plan from a TOML file; without one, a grid that spans the paper's.
+
+    The path ``paper``, where there is no such file, stands for the paper's whole grid.
 
     Raises
     ------
@@ -263,6 +270,8 @@ def read_plan(path: Path | None) -> Plan:
     """
     if path is None:
         return Plan()
+    if str(path) == "paper" and not Path(path).exists():
+        return plan_from({"grid": "paper"})
     try:
         content = Path(path).read_bytes().decode()
     except OSError as error:
@@ -350,6 +359,12 @@ def _models(key: str, value: Any) -> tuple[Drawn, ...]:
     return tuple(Drawn(*map(float, row)) for row in value)
 
 
+def _flag(key: str, value: Any) -> bool:
+    if not isinstance(value, bool):
+        raise InputError(f"found {key} = {value!r}, expected true or false")
+    return value
+
+
 def _seed(key: str, value: Any) -> int:
     if not isinstance(value, int) or isinstance(value, bool) or value < 0:
         raise InputError(f"found {key} = {value!r}, expected a whole number, 0 or above")
@@ -377,6 +392,7 @@ _CHECKS: dict[str, Callable[[str, Any], Any]] = {
     "readings": _choices(READINGS),
     "corner": _models,
     "seed": _seed,
+    "draws": _flag,
     "dE": _positive,
     "rate": _positive,
     "correlation_time": _not_negative,
@@ -417,6 +433,7 @@ def evaluate(cell: Cell) -> Arrays:
     arrays |= {
         # The criterion of the paper (Eq. 3) at the samples, whatever the noise is taken to be.
         "E": np.sum(misfit**2) / np.sum(measured**2),
+        "change": _largest_change(cell, problem, found),
         "at_bound": np.array([row.name in found.fit.at_bound for row in rows]),
         "profile_end": np.array([row.profile_sides for row in rows]),
         "parameter_verdict": np.array([row.verdict for row in rows]),
@@ -430,6 +447,18 @@ def evaluate(cell: Cell) -> Arrays:
         "seconds": np.array(time.process_time() - start),
     }
     return arrays
+
+
+def _largest_change(cell: Cell, problem: Problem, found: Widths) -> np.ndarray:
+    """The paper's estimate (Eq. 15), of E, in which no sample weighs more than another."""
+    hessian = found.curvature.hessian
+    if cell.correlation_time:
+        problem = replace(cell, correlation_time=0.0).problem()
+        hessian = curvature(problem, found.fit.values).hessian
+    (observation,) = problem.observations
+    energy = np.sum((observation.scale * observation.measured) ** 2)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return np.abs(largest_change(2 * hessian / energy, cell.dE))
 
 
 def run_atlas(

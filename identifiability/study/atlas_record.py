@@ -21,11 +21,10 @@ from identifiability.inference.widths import (
 )
 from identifiability.joint.model import KBI
 from identifiability.provenance import stamp
-from identifiability.study.approximations import low_frequency
-from identifiability.study.setting import Setting
 from identifiability.study.store import CELL
+from identifiability.study.tracking import PREDICTIONS, structural, tracking, within
 
-SCHEMA = 1
+SCHEMA = 2
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
 # Classes of the optimum's distance from the nearest lower bound, in quadratic widths.
 DISTANCES = (0.0, 1.0, 2.0, 3.0, 5.0, 10.0, 15.0, np.inf)
@@ -117,7 +116,13 @@ def record(
             for place, part in groups("reading")
             for least in (0.0, AWAY)
         ],
-        "stiffness": _stiffness(done),
+        "tracking": [
+            {**place, "prediction": prediction, **tracking(part, prediction)}
+            for place, part in groups("reading", "T", "parameter")
+            for prediction in PREDICTIONS
+        ],
+        "tolerances": [{**place, "within": within(part)} for place, part in groups("reading", "T")],
+        "structural": [{**place, **structural(part)} for place, part in groups("reading", "T")],
         "sampler": _sampler(done),
         "referee": _referee(done),
         "figures": [dict(figure) for figure in figures],
@@ -252,29 +257,6 @@ def _associations(part: xr.Dataset, least: float) -> Record:
             else None,
         }
     return found
-
-
-def _stiffness(done: xr.Dataset) -> Record:
-    """Fitted stiffness of cells that agree, against what a slow perturbation would meet."""
-    agreeing = done.isel(cell=np.flatnonzero(done["verdict"].values == "agrees"))
-    slow = np.array(
-        [
-            low_frequency(Setting(K_CE, B_CE, ratio * K_CE))[0]
-            for K_CE, B_CE, ratio in zip(
-                agreeing["K_CE"].values,
-                agreeing["B_CE"].values,
-                agreeing["ratio"].values,
-                strict=True,
-            )
-        ]
-    )
-    fitted = agreeing.sel(parameter="K")
-    return {
-        "change": _quantiles(fitted["optimum"].values / slow - 1),
-        "beyond_two_sd": int(
-            np.sum(np.abs(fitted["optimum"].values - slow) > 2 * fitted["posterior_sd"].values)
-        ),
-    }
 
 
 def _sampler(done: xr.Dataset) -> Record:

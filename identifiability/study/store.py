@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -29,7 +29,7 @@ class Field(NamedTuple):
     dims : tuple of str
         Dimensions beyond those of the cell.
     kind : str
-        ``"f8"``, ``"f4"``, ``"u4"``, ``"?"`` or ``"U"`` (text).
+        ``"f4"``, ``"f4"``, ``"u4"``, ``"?"`` or ``"U"`` (text).
     description : str
     units : str
         "parameter" where it is in the unit of each parameter; "" for a text.
@@ -48,32 +48,33 @@ FIELDS: dict[str, Field] = {
     "reason": Field((), "U", "reason of that verdict"),
     "status": Field((), "U", "done, failed, crashed or timed out"),
     "cause": Field((), "U", "why the cell has no result"),
-    "E": Field((), "f8", "error criterion E at the optimum, over the samples", "1"),
+    "E": Field((), "f4", "error criterion E at the optimum, over the samples", "1"),
     "step": Field((), "U", "step of the sampling ladder"),
     "step_reason": Field((), "U", "why that step"),
-    "acceptance": Field((), "f8", "mean acceptance fraction of the sampler", "1"),
-    "seconds": Field((), "f8", "processor time", "s"),
+    "acceptance": Field((), "f4", "mean acceptance fraction of the sampler", "1"),
+    "seconds": Field((), "f4", "processor time", "s"),
     "seed": Field((), "u4", "seed of the cell's sampler", "1"),
     "optimum": Field(_P, "f8", "best value", "parameter"),
     "at_bound": Field(_P, "?", "whether the optimum lies on a bound"),
-    "slice": Field(_P, "f8", "sd with the other parameters held", "parameter"),
-    "quadratic": Field(_P, "f8", "sd from the full Hessian", "parameter"),
-    "gauss_newton": Field(_P, "f8", "sd from J'J", "parameter"),
-    "sandwich": Field(_P, "f8", "scatter of the optimum over repetitions", "parameter"),
-    "profile": Field(_P, "f8", "half the 68 % profile interval", "parameter"),
-    "profile_68": Field(_ENDS, "f8", "68 % profile interval", "parameter"),
-    "profile_95": Field(_ENDS, "f8", "95 % profile interval", "parameter"),
+    "slice": Field(_P, "f4", "sd with the other parameters held", "parameter"),
+    "quadratic": Field(_P, "f4", "sd from the full Hessian", "parameter"),
+    "change": Field(_P, "f4", "largest change that raises E by dE (Eq. 15), size", "parameter"),
+    "gauss_newton": Field(_P, "f4", "sd from J'J", "parameter"),
+    "sandwich": Field(_P, "f4", "scatter of the optimum over repetitions", "parameter"),
+    "profile": Field(_P, "f4", "half the 68 % profile interval", "parameter"),
+    "profile_68": Field(_ENDS, "f4", "68 % profile interval", "parameter"),
+    "profile_95": Field(_ENDS, "f4", "95 % profile interval", "parameter"),
     "profile_end": Field(_ENDS, "U", "what ends the 95 % profile interval: closed, bound or open"),
-    "posterior_mean": Field(_P, "f8", "posterior mean", "parameter"),
-    "posterior_sd": Field(_P, "f8", "posterior standard deviation, sampled", "parameter"),
-    "posterior_sd_mcse": Field(_P, "f8", "Monte Carlo error of it", "parameter"),
-    "posterior_68": Field(_ENDS, "f8", "68.27 % equal-tailed posterior interval", "parameter"),
-    "posterior_95": Field(_ENDS, "f8", "95 % equal-tailed posterior interval", "parameter"),
-    "quadrature_mean": Field(_P, "f8", "posterior mean by quadrature", "parameter"),
-    "quadrature_sd": Field(_P, "f8", "posterior standard deviation by quadrature", "parameter"),
-    "rhat": Field(_P, "f8", "R-hat across independent ensembles", "1"),
-    "ess_bulk": Field(_P, "f8", "effective sample size, bulk", "1"),
-    "ess_tail": Field(_P, "f8", "effective sample size, tail", "1"),
+    "posterior_mean": Field(_P, "f4", "posterior mean", "parameter"),
+    "posterior_sd": Field(_P, "f4", "posterior standard deviation, sampled", "parameter"),
+    "posterior_sd_mcse": Field(_P, "f4", "Monte Carlo error of it", "parameter"),
+    "posterior_68": Field(_ENDS, "f4", "68.27 % equal-tailed posterior interval", "parameter"),
+    "posterior_95": Field(_ENDS, "f4", "95 % equal-tailed posterior interval", "parameter"),
+    "quadrature_mean": Field(_P, "f4", "posterior mean by quadrature", "parameter"),
+    "quadrature_sd": Field(_P, "f4", "posterior standard deviation by quadrature", "parameter"),
+    "rhat": Field(_P, "f4", "R-hat across independent ensembles", "1"),
+    "ess_bulk": Field(_P, "f4", "effective sample size, bulk", "1"),
+    "ess_tail": Field(_P, "f4", "effective sample size, tail", "1"),
     "parameter_verdict": Field(_P, "U", "verdict on the quadratic width"),
     "parameter_reason": Field(_P, "U", "reason of that verdict"),
     "draws": Field(("draw", "parameter"), "f4", "thinned posterior draws", "parameter"),
@@ -103,6 +104,7 @@ def to_dataset(plan: Plan, outcomes: Mapping[str, Outcome]) -> xr.Dataset:
         are NaN and texts empty in cells without a result.
     """
     axes = plan.axes
+    names = [name for name in FIELDS if name != "draws" or plan.draws]
     parameters = KBI().parameters
     sizes = {name: len(values) for name, values in axes.items()}
     sizes |= {"parameter": len(parameters), "side": len(SIDES), "draw": N_DRAWS}
@@ -113,6 +115,7 @@ def to_dataset(plan: Plan, outcomes: Mapping[str, Outcome]) -> xr.Dataset:
             dtype=object if field.kind == "U" else field.kind,
         )
         for name, field in FIELDS.items()
+        if name in names
     }
     for name, cell in plan.cells().items():
         outcome = outcomes[name]
@@ -123,8 +126,9 @@ def to_dataset(plan: Plan, outcomes: Mapping[str, Outcome]) -> xr.Dataset:
             "cause": outcome.cause,
             "seed": cell.own_seed,
         }
-        for key, value in values.items():
-            arrays[key][place] = np.asarray(value).tolist()
+        for key in names:
+            if key in values:
+                arrays[key][place] = np.asarray(values[key]).tolist()
     coordinates = {
         name: xr.DataArray(
             list(values), dims=name, attrs=_attributes(*_COORDINATES.get(name, ("", "")))
@@ -133,8 +137,8 @@ def to_dataset(plan: Plan, outcomes: Mapping[str, Outcome]) -> xr.Dataset:
     }
     return xr.Dataset(
         {
-            name: (CELL + field.dims, arrays[name], _attributes(field.description, field.units))
-            for name, field in FIELDS.items()
+            name: (CELL + FIELDS[name].dims, arrays[name], _attributes(*FIELDS[name][2:]))
+            for name in names
         },
         {
             **coordinates,
@@ -153,11 +157,13 @@ def to_dataset(plan: Plan, outcomes: Mapping[str, Outcome]) -> xr.Dataset:
 
 def write_atlas(dataset: xr.Dataset, path: Path) -> None:
     """Write the data set as NetCDF, in one piece or not at all."""
-    packed = {
-        name: {"zlib": True, "complevel": 4, "shuffle": True}
-        for name, variable in dataset.data_vars.items()
-        if variable.dtype.kind == "f"
-    }
+    packed: dict[Hashable, dict[str, Any]] = {}
+    for name, variable in dataset.data_vars.items():
+        if variable.dtype.kind == "f":
+            packed[name] = {"zlib": True, "complevel": 6, "shuffle": True}
+        elif variable.dtype.kind == "O":
+            # Texts of one length are packed; those of any length would not be.
+            packed[name] = {"dtype": "S1", "zlib": True, "complevel": 6}
     with replacing(path) as temporary:
         dataset.to_netcdf(temporary, engine="h5netcdf", encoding=packed)
 
