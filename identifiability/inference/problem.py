@@ -249,8 +249,10 @@ class Problem:
 
     def suited(self, theta: np.ndarray) -> Scheme:
         """Scheme that a full parameter vector of the model asks for at these observations."""
-        imposed = self.observations[0].drive.imposed
-        return Scheme.for_model(self.model, theta, self.interval, imposed)
+        drive = self.observations[0].drive
+        return Scheme.for_model(
+            self.model, theta, self.interval, drive.imposed, curved=drive.curved
+        )
 
     @property
     def interval(self) -> float:

@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 
 from identifiability.errors import InputError
+from identifiability.inference.between import joined
 from identifiability.inference.fitting import Fit, explore, fit, starting_points
 from identifiability.inference.noisy import NoisyFit, fit_noisy
 from identifiability.inference.problem import Observation, Prior, Problem, observe
@@ -365,8 +366,8 @@ def fit_recordings(
     """
     model = KBI() if model is None else model
     prior = Prior.recorded(model) if prior is None else prior
-    prepared = prepare(trials, lowpass_hz=lowpass_hz)
-    whole_band = prepare_whole_band(trials, lowpass_hz=lowpass_hz)
+    prepared = joined(prepare(trials, lowpass_hz=lowpass_hz))
+    whole_band = joined(prepare_whole_band(trials, lowpass_hz=lowpass_hz))
     selections_by_window = [[windows(p, length) for p in prepared] for length in window_lengths]
     guess = first_guess([p.trial for p in prepared], prior)
     starts_seed, *window_seeds = map(
@@ -445,8 +446,8 @@ def fit_with_noise(
         Of the starts.
     """
     prior = Prior.recorded(KBI()) if prior is None else prior
-    prepared = prepare(trials, lowpass_hz=lowpass_hz)
-    whole_band = prepare_whole_band(trials, lowpass_hz=lowpass_hz)
+    prepared = joined(prepare(trials, lowpass_hz=lowpass_hz))
+    whole_band = joined(prepare_whole_band(trials, lowpass_hz=lowpass_hz))
     pose = partial(recording_problem, model=KBI(), prior=prior)
     guess = first_guess([p.trial for p in prepared], prior)
     _, best = best_fit(pose(prepared, [whole(p) for p in prepared]), guess, seed)

@@ -13,6 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from identifiability.errors import InputError
+from identifiability.inference.between import joined
 from identifiability.inference.problem import Observation
 from identifiability.investigation.pieces import MOST_SAMPLES, pieces, remembering
 from identifiability.investigation.rules import Rules
@@ -141,7 +142,8 @@ def gather(
     """
     if not trials:
         raise InputError("found no trials to fit, expected at least one")
-    parts = hold_out(prepare([*trials, *held_out], lowpass_hz=lowpass_hz), len(held_out))
+    prepared = joined(prepare([*trials, *held_out], lowpass_hz=lowpass_hz))
+    parts = hold_out(prepared, len(held_out))
     every = (*parts.fitted, *parts.held_out)
     longest = max(p.last - p.first for p in every)
     n_fitted = len(parts.fitted)

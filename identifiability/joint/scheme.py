@@ -50,7 +50,13 @@ class Scheme:
 
     @classmethod
     def for_model(
-        cls, model: Model, theta: ArrayLike, interval: float, imposed: Imposed = "torque"
+        cls,
+        model: Model,
+        theta: ArrayLike,
+        interval: float,
+        imposed: Imposed = "torque",
+        *,
+        curved: bool = False,
     ) -> Scheme:
         """Scheme that suits a model: exact if it is linear, else as its fastest effect asks.
 
@@ -64,12 +70,15 @@ class Scheme:
             Sampling interval [s].
         imposed : {"torque", "angle"}
             Under an imposed angle only effects with states of their own need steps.
+        curved : bool
+            Whether the torque bends between its samples, of which steps of second order see only
+            the ends.
         """
         if model.linear:
             return EXACT
         values = dict(zip(model.parameter_names, map(float, np.asarray(theta)), strict=True))
         turned = model.pace(values, imposed) * interval
-        if turned <= _SECOND * _MOST_SECOND:
+        if turned <= _SECOND * _MOST_SECOND and not curved:
             return cls(_power_of_two(turned / _SECOND), 2)
         return cls(min(_power_of_two(turned / _FOURTH), MOST_SUBSTEPS), 4)
 

@@ -19,6 +19,9 @@ import scipy.linalg
 
 from identifiability.errors import InputError
 
+Hold = Literal["first-order", "zero-order", "smooth"]
+_FEWEST = 6  # samples of a spline
+
 
 @dataclass(frozen=True, eq=False)
 class Drive:
@@ -49,6 +52,11 @@ class Drive:
     def imposed(self) -> Literal["torque", "angle"]:
         """What is imposed."""
         return "torque" if len(self.readout) == 1 else "angle"
+
+    @property
+    def curved(self) -> bool:
+        """Whether an imposed torque bends between its samples."""
+        return self.imposed == "torque" and len(self.generator) > 2
 
     @property
     def signals(self) -> np.ndarray:
@@ -225,12 +233,13 @@ class SampledTorque(Perturbation):
     ----------
     values : array, shape (n,)
         Torque [Nm] at the samples of the grid it will be put on.
-    hold : {"first-order", "zero-order"}
-        Linear between samples (the default: what a measured torque is), or held.
+    hold : {"first-order", "zero-order", "smooth"}
+        Linear between samples (the default), held, or a cubic spline through them: straight lines
+        lose (w h)²/12 of what a frequency w has that is sampled at intervals h.
     """
 
     values: np.ndarray = field(repr=False)
-    hold: Literal["first-order", "zero-order"] = "first-order"
+    hold: Hold = "first-order"
     key = "sampled"
 
     def __post_init__(self) -> None:
@@ -248,6 +257,8 @@ class SampledTorque(Perturbation):
                 f"found {self.values.size} torque samples for {np.size(time)} times; "
                 "give one for each"
             )
+        if self.hold == "smooth":
+            return self._smooth(np.asarray(time, float), interval)
         slopes = np.zeros(self.values.size)
         if self.hold == "first-order":
             slopes[:-1] = np.diff(self.values) / interval
@@ -257,6 +268,13 @@ class SampledTorque(Perturbation):
             interval, generator, np.array([[1.0, 0.0]]), states, np.zeros(self.values.size)
         )
 
+    def _smooth(self, time: np.ndarray, interval: float) -> Drive:
+        if time.size < _FEWEST:
+            raise InputError(f"found {time.size} samples for a spline, expected at least {_FEWEST}")
+        spline = scipy.interpolate.make_interp_spline(time, self.values, k=3)
+        states = np.column_stack([spline(time, nu) for nu in range(4)])
+        return Drive(interval, np.eye(4, k=1), np.eye(4)[:1], states, np.zeros(time.size))
+
 
 def multisine(
     time: np.ndarray,
@@ -264,7 +282,7 @@ def multisine(
     amplitude: float,
     frequencies: np.ndarray,
     seed: int,
-    hold: Literal["first-order", "zero-order"] = "first-order",
+    hold: Hold = "first-order",
 ) -> SampledTorque:
     """Random-phase multisine torque.
 
@@ -278,7 +296,7 @@ def multisine(
         Frequencies [Hz], equal power in each.
     seed : int
         Seed of the phases.
-    hold : {"first-order", "zero-order"}
+    hold : {"first-order", "zero-order", "smooth"}
         How the torque goes between samples.
     """
     time, frequencies = np.asarray(time, float), np.asarray(frequencies, float)
@@ -340,7 +358,7 @@ def imposed_motion(time: np.ndarray, angle: np.ndarray) -> Drive:
     """
     time, angle = np.asarray(time, float), np.asarray(angle, float)
     interval = _uniform_interval(time)
-    if time.size < 6:
+    if time.size < _FEWEST:
         raise InputError(f"found an imposed angle of {time.size} samples, expected at least six")
     spline = scipy.interpolate.make_interp_spline(time, angle, k=5)
     states = np.column_stack([spline(time, nu) for nu in range(6)])

@@ -80,6 +80,8 @@ class Treatment:
         Cut-off [Hz] of the filter that both channels passed.
     decimation : int
         One sample in so many was kept.
+    torque_between : {"straight", "smooth"}
+        How an imposed torque is taken to run between its samples: see `SampledTorque`.
     """
 
     level_of: Literal["lead", "record", "nothing"]
@@ -87,6 +89,7 @@ class Treatment:
     angle: float = 0.0
     lowpass_hz: float | None = None
     decimation: int = 1
+    torque_between: Literal["straight", "smooth"] = "straight"
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,6 +173,12 @@ class Prepared:
         """Return the same trial with unknown noise and an unknown level of the response."""
         return replace(self, lead_is_noise=False, has_offset=True)
 
+    def smooth(self) -> Prepared:
+        """Return the same trial with its imposed torque a smooth curve through the samples."""
+        drive = SampledTorque(self.trial.torque, hold="smooth").drive(self.trial.time)
+        treatment = replace(self.treatment, torque_between="smooth")
+        return replace(self, drive=drive, treatment=treatment)
+
     def record(self) -> dict[str, Any]:
         """Plain record for JSON: which recording, which samples of it, what was done to it."""
         trial, lead, done = self.trial, self.recorded_lead, self.treatment
@@ -190,6 +199,7 @@ class Prepared:
                     },
                     "lowpass_hz": done.lowpass_hz,
                     "decimation": done.decimation,
+                    "torque_between": done.torque_between,
                     "first": self.first,
                     "last": self.last,
                     "lead": {

@@ -36,6 +36,7 @@ COLOURS = dict(zip(VERDICTS, (BLUE, SKY, YELLOW, ORANGE, VERMILLION, GREY), stri
 }
 
 _LARGEST_RATIO = 10.0
+_SAME_TENDON = 0.4  # share by which a drawn model's tendon may differ from a map's
 PREDICTED = {"quadratic": "the quadratic width", "change": "the paper's Eq. 15"}
 _AXES = {"quadratic": "quadratic width", "change": "Eq. 15"}
 
@@ -215,7 +216,9 @@ def tracking_figure(data: xr.Dataset, field: str) -> Figure:
                     label=f"{reading} noise",
                     rasterized=True,
                 )
+            limits = panel.get_xlim(), panel.get_ylim()
             panel.axline((1e-3, 1e-3), (1.0, 1.0), color=BLACK, lw=0.9)
+            panel.set(xlim=limits[0], ylim=limits[1])
             if name == names[0]:
                 panel.set_title(f"T = {1000 * T:g} ms")
         row[0].set_ylabel(f"posterior sd of {name} [{unit}]")
@@ -360,7 +363,8 @@ def optimum_figure(part: xr.Dataset) -> Figure:
         smallest = max(positive.min(initial=largest), largest * (0 if label == "E*" else 1e-4))
         norm = LogNorm(smallest, largest if largest > smallest else 2 * smallest)
         for panel, place in zip(row, _columns(part), strict=True):
-            image = _image(panel, values.sel(place).values, norm, MAP, part, floor=smallest)
+            cells = part.sel(place)
+            image = _image(panel, values.sel(place).values, norm, MAP, cells, floor=smallest)
         below = "min" if np.any(values.values < smallest) else "neither"
         bar = figure.colorbar(image, ax=row.tolist(), label=label, extend=below, shrink=0.9)
         if label != "E*":
@@ -406,7 +410,7 @@ def _panels(part: xr.Dataset, axes: np.ndarray) -> Iterator[tuple[Axes, xr.Datas
             fontsize=11,
         )
         for panel, place in zip(row, _columns(part), strict=True):
-            yield panel, part.sel(perturbation=perturbation, **place)
+            yield panel, part.sel({"perturbation": perturbation, **place})
 
 
 def _plain_ticks(bar: Colorbar) -> None:
@@ -444,16 +448,14 @@ def _image(
     panel.tick_params(which="both", length=0)
     for spine in panel.spines.values():
         spine.set_visible(False)
-    plan = json.loads(cells.attrs["plan"])
-    for K_CE, B_CE, K_SE, _ in plan["corner"]:
-        if (
-            "ratio" in cells.coords
-            and abs(float(cells["ratio"]) - K_SE / K_CE) > 0.25 * K_SE / K_CE
-        ):
+    for K_CE, B_CE, K_SE, _ in json.loads(cells.attrs["plan"])["corner"]:
+        if abs(float(cells["ratio"]) * K_CE / K_SE - 1) > _SAME_TENDON:
             continue
         at = (
             np.interp(value, cells[name].values, np.arange(cells[name].size))
             for value, name in ((K_CE, "K_CE"), (B_CE, "B_CE"))
         )
-        panel.plot(*at, "o", ms=5, mfc="none", mec=BLACK, mew=1.1)
+        where = tuple(at)
+        panel.plot(*where, "o", ms=6, mfc="none", mec="white", mew=2.6)
+        panel.plot(*where, "o", ms=6, mfc="none", mec=BLACK, mew=1.1)
     return image

@@ -83,11 +83,8 @@ def _answer(record: Record) -> str:
     """What was found, in the order in which it is asked."""
     lines = []
     for reading in dict.fromkeys(group["reading"] for group in record["tracking"]):
-        shares = _listed(
-            f"{percent(_of_all(record, reading, T, 'within_tenth'))} at {_milliseconds(T)}"
-            for T in record["plan"]["T"]
-            if _of_all(record, reading, T, "within_tenth") is not None
-        )
+        found = {T: _of_all(record, reading, T, "within_tenth") for T in record["plan"]["T"]}
+        shares = [f"{percent(v)} at {_milliseconds(T)}" for T, v in found.items() if v is not None]
         slopes = [
             group["slope"]["value"]
             for group in _tracked(record, reading)
@@ -96,9 +93,9 @@ def _answer(record: Record) -> str:
         if not slopes:
             continue
         lines.append(
-            f"- **{reading.capitalize()} noise.** Of the posterior's standard deviations, {shares} "
-            f"are within a tenth of the quadratic width. Their logarithms follow it with slopes of "
-            f"{min(slopes):.2f} to {max(slopes):.2f} (1 is proportion)."
+            f"- **{reading.capitalize()} noise.** Of the posterior's standard deviations, "
+            f"{_listed(shares)} are within a tenth of the quadratic width. Their logarithms "
+            f"follow it with slopes of {min(slopes):.2f} to {max(slopes):.2f} (1 is proportion)."
         )
     near = [
         [
@@ -113,10 +110,10 @@ def _answer(record: Record) -> str:
         (sum(c["agrees"] for c in classes), sum(c["of"] for c in classes)) for classes in near
     )
     lines.append(
-        f"- **Where not, and why.** Where the optimum lies less than {AWAY:g} quadratic widths from "
-        f"an impossible value, the ellipse holds in {_share(close, close_of)} of the cells, since "
-        f"the bound cuts it; elsewhere in {_share(far, far_of)}, and what is left is bent: the "
-        "error is no parabola over the width of the posterior. *Holds* is strict: widths to "
+        f"- **Where not, and why.** Where the optimum lies less than {AWAY:g} quadratic widths "
+        f"from an impossible value, the ellipse holds in {_share(close, close_of)} of the cells, "
+        f"since the bound cuts it; elsewhere in {_share(far, far_of)}, and what is left is bent: "
+        "the error is no parabola over the width of the posterior. *Holds* is strict: widths to "
         f"{percent(record['criteria']['width_tolerance'])}, ends of the 95 % interval to "
         f"{record['criteria']['end_tolerance']:g} widths, for K, B and I at once."
     )
@@ -125,8 +122,8 @@ def _answer(record: Record) -> str:
             continue
         slow = group["slow"]
         lines.append(
-            f"- **What no width says** ({group['reading']} noise, {_milliseconds(group['T'])}). The "
-            f"fitted K differs from the stiffness that a slow perturbation meets by "
+            f"- **What no width says** ({group['reading']} noise, {_milliseconds(group['T'])}). "
+            f"The fitted K differs from the stiffness that a slow perturbation meets by "
             f"{_percent_signed(slow['q50'])} in the median ({_percent_signed(slow['q5'])} to "
             f"{_percent_signed(slow['q95'])}), which is {slow['sds']:.1f} posterior standard "
             f"deviations; in {percent(slow['beyond_two_sd'])} of the cells it is more than two."

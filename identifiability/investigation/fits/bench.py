@@ -213,9 +213,10 @@ class Workbench:
         """The finest of the schemes that a model's values ask for."""
         drives = [r.drive for r in (*self.split.fitted, *self.split.held_out)]
         interval, imposed = max(d.interval for d in drives), drives[0].imposed
-        best = EXACT
+        curved, best = any(d.curved for d in drives), EXACT
         for values in places:
-            asked = Scheme.for_model(model, model.vector(values), interval, imposed)
+            vector = model.vector(values)
+            asked = Scheme.for_model(model, vector, interval, imposed, curved=curved)
             best = asked if asked.is_finer_than(best) else best
         return best
 

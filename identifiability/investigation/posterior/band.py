@@ -17,6 +17,7 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from identifiability.errors import InputError
+from identifiability.inference.between import joined
 from identifiability.inference.problem import Observation, Prior, Problem
 from identifiability.inference.starts import plain_values
 from identifiability.investigation.pieces import MOST_SAMPLES, owners, pieces, remembering
@@ -305,7 +306,7 @@ def band_of(
         lowpass_hz = noise_cutoff(every, _CLEAR)
     step = max(rounding_step(trial.angle) for trial in recorded)
     if every[0].driven == "torque":
-        ready = tuple(remembering(prepare_whole_band(every)))
+        ready = tuple(remembering(joined(prepare_whole_band(every))))
         return Band(ready, 1, dict(bounds or {}), step=step)
     cutoff_hz = cutoff(every, lowpass_hz) or HIGHEST_HZ
     fitted, halved = _moved_by_angles(every, cutoff_hz)
