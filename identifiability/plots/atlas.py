@@ -264,7 +264,8 @@ def tolerance_figure(data: xr.Dataset) -> Figure:
     panel.set_xticks([0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2])
     panel.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{100 * value:g} %"))
     panel.xaxis.set_minor_locator(NullLocator())
-    panel.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
+    if panel.get_lines()[1:]:
+        panel.legend(loc="center left", bbox_to_anchor=(1.0, 0.5))
     return figure
 
 

@@ -88,7 +88,7 @@ def _answer(record: Record) -> str:
         slopes = [
             group["slope"]["value"]
             for group in _tracked(record, reading)
-            if group["prediction"] == "quadratic"
+            if group["prediction"] == "quadratic" and group["slope"]
         ]
         if not slopes:
             continue
@@ -184,7 +184,9 @@ but for a factor that is the same in all cells of one duration.
     return text
 
 
-def _interval(found: Record, shown: Callable[[float], str] = "{:.2f}".format) -> str:
+def _interval(found: Record | None, shown: Callable[[float], str] = "{:.2f}".format) -> str:
+    if found is None:
+        return "–"
     return f"{shown(found['value'])} ({shown(found['low'])} to {shown(found['high'])})"
 
 

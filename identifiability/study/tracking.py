@@ -46,7 +46,7 @@ def tracking(part: xr.Dataset, predicted: str) -> Record:
     x, y = np.log(x[usable]), np.log(y[usable])
     models = np.array([part[name].values[usable] for name in _MODEL])
     which = np.unique(models, axis=1, return_inverse=True)[1].ravel()
-    off = np.abs(y - x)
+    off = np.abs(y - x) * (1 - 1e-6)  # stored in single precision
     columns = np.array(
         [np.ones_like(x), x, y, x * x, y * y, x * y, off <= np.log(1.1), off <= np.log(2.0)]
     )
@@ -57,8 +57,12 @@ def tracking(part: xr.Dataset, predicted: str) -> Record:
     counts = random.multinomial(n_models, np.full(n_models, 1 / n_models), _RESAMPLES)
     whole, again = _figures(sums.sum(axis=1)), _figures(sums @ counts.T)
     for name, value in whole.items():
-        ends = np.nanquantile(again[name], [0.025, 0.975])
-        found[name] = {"value": float(value), "low": float(ends[0]), "high": float(ends[1])}
+        some = again[name][np.isfinite(again[name])]
+        if not (np.isfinite(value) and some.size):
+            found[name] = None  # predictions that are all the same have no slope
+            continue
+        low, high = np.quantile(some, [0.025, 0.975])
+        found[name] = {"value": float(value), "low": float(low), "high": float(high)}
     found["ratio"] = float(np.exp(np.median(y - x)))
     return found
 
