@@ -258,9 +258,12 @@ def test_a_final_model_that_cannot_be_fitted_is_recorded_not_raised(monkeypatch,
     found = study.climb(posterior)
     assert found.failure == "no finite response"
     assert found.final is found.baseline
-    # What is claimed stays so.
+    # However probable, an effect is not named for an error that is not known.
+    assert study.claim(posterior).effects == ("cubic_stiffness",)
     verdict = study.judge(posterior, found, study.unexplained(found.final))
-    assert verdict.effects == ("cubic_stiffness",)
+    assert (verdict.kind, verdict.effects) == ("undecided", ())
+    (why,) = (reason for reason in verdict.reasons if reason.kind == "no error")
+    assert (why.effects, why.remark) == (("cubic_stiffness",), "no finite response")
 
 
 def test_a_convention_can_be_changed():

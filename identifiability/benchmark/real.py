@@ -194,6 +194,7 @@ def summary(one: RealRecording, record: Mapping[str, Any]) -> dict[str, Any]:
         "because": verdict["because"],
         "posterior": [row for row in record["posterior"] or [] if row["probability"] >= 0.005],
         "models": record["models"],
+        "failures": record["failures"],
         "held_out": record["held_out"],
         "noise_floor": record["baseline"]["noise_floor"],
         "seconds": sum(record["timings"].values()),

@@ -86,7 +86,15 @@ def _section(one: RealRecording, record: Mapping[str, Any]) -> list[str]:
         return [*parts, f"It could not be investigated: {record['failure']}."]
     parts += [
         f"**{TITLES[record['verdict']['kind']]}.** {record['verdict']['sentence']}",
-        "\n".join(f"- {reason}" for reason in record["because"]),
+        "\n".join(
+            [
+                *(f"- {reason}" for reason in record["because"]),
+                *(
+                    f"- Not done: {part} ({why})."
+                    for part, why in record.get("failures", {}).items()
+                ),
+            ]
+        ),
         table(
             ["model", "K", "B", "I", "its own", "E fitted", "E held out", "VAF held out [%]"],
             [_model(model) for model in record["models"]],

@@ -111,6 +111,10 @@ def judge(
     explains = found.share is None or found.share >= split.rules.explained_share
     named = claim.kind == "effects" and explains
     reasons = [_probabilities(claim, posterior)]
+    if claim.kind == "effects" and found.failure:
+        # An effect is named for the error that falls with it, which is not known here.
+        reasons.append(Reason("no error", claim.effects, {}, found.failure))
+        return Verdict("undecided", (), tuple(reasons))
     if claim.kind == "effects" and not explains:
         reasons.append(Reason("only a part", claim.effects))
     shown = {m.key: posterior.present(m.key) for m in found.missing}

@@ -9,6 +9,7 @@ from typing import Literal
 ReasonKind = Literal[
     "probable",
     "not probable enough",
+    "no error",
     "only a part",
     "whatever else",
     "clue",
@@ -38,6 +39,8 @@ class Reason:
           something ``unknown``, has these;
         - not probable enough: the same of what is claimed, ``remark``, and of the most probable
           sets by their keys joined by "+": no effect is probable enough to be named;
+        - no error: the effects are probable enough, but the errors of their model could not be
+          computed, for the reason in ``remark``, so that nothing is named;
         - only a part: the effects are probable enough, but leave so much of the misfit of the
           held-out trials that they may stand for something else;
         - whatever else: effects that are there beside something unknown, each with its probability
@@ -60,7 +63,7 @@ class Reason:
     effects : tuple of str
     numbers : mapping of str to float
     remark : str
-        An effect's own doubt, a kind of claim, or a parameter's name.
+        An effect's own doubt, a kind of claim, a parameter's name, or why something failed.
     """
 
     kind: ReasonKind

@@ -46,6 +46,12 @@ def verdict_sentence(findings: Findings) -> str:
     verdict, found, library = findings.verdict, findings.found, findings.library
     reasons = {r.kind: r for r in verdict.reasons}
     rest = unexplained_sentence(findings.unexplained_after)
+    if "no error" in reasons:
+        best = listed([library[key].title for key in reasons["no error"].effects])
+        return (
+            f"Most probable is {best}, but whether the error falls with it could not be computed: "
+            f"{reasons['no error'].remark}. {rest}"
+        )
     if verdict.kind == "undecided":
         why = findings.failures["probabilities"]
         return f"What may be missing could not be weighed: {why}. {rest}"
@@ -168,6 +174,7 @@ def _reason(reason: Reason, findings: Findings) -> str:
     return {
         "probable": _probable,
         "not probable enough": _not_probable,
+        "no error": _no_error,
         "only a part": _only_a_part,
         "whatever else": _whatever_else,
         "clue": _clue,
@@ -182,6 +189,13 @@ def _reason(reason: Reason, findings: Findings) -> str:
         "equations not exact": _not_exact,
         "edge of bounds": _edge,
     }[reason.kind](reason, findings)
+
+
+def _no_error(reason: Reason, findings: Findings) -> str:
+    return (
+        "Effects are named for the error that falls with them on trials that were not fitted; that "
+        "of the most probable model is not known."
+    )
 
 
 def _chosen_alike(reason: Reason, findings: Findings) -> str:
