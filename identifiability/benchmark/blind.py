@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from scipy import optimize
+from scipy import interpolate, optimize
 
 from identifiability.benchmark.cases import (
     ATTEMPTS,
@@ -24,7 +24,7 @@ from identifiability.benchmark.cases import (
     Kind,
 )
 from identifiability.benchmark.effects import EFFECTS
-from identifiability.benchmark.joints import Joint, draw_joint
+from identifiability.benchmark.joints import RTOL, Joint, draw_joint
 from identifiability.benchmark.motion import Motion, reaction
 from identifiability.benchmark.noisy_recordings import KINDS as NOISES
 from identifiability.benchmark.noisy_recordings import noise_of
@@ -34,6 +34,8 @@ from identifiability.measurement.trials import Trial
 Imposed = Literal["torque", "angle"]
 
 RATES = (100, 200, 500, 1000)
+_COARSE, _FINER = 200, 4  # Hz up to which a torque may be smooth; steps a sample that make it so
+_SPREAD, _RINGING = (0.0625, 0.25, 0.375, 0.25, 0.0625), 1e-4
 _SHORT, _LONG = 0.8, 12.0  # seconds of a trial and of a record
 _FIT, _HELD_OUT = 8, 3  # short trials
 _LEAD = 0.1  # seconds at rest
@@ -79,11 +81,15 @@ class BlindSpec:
     def build(self) -> HiddenCase:
         """Draw joint and perturbations, simulate the trials and record them."""
         root = np.random.SeedSequence(self.seed, spawn_key=self.stream)
-        for_joint, for_trials, for_records = (np.random.default_rng(s) for s in root.spawn(3))
+        for_joint, for_trials, for_records, for_torque = (
+            np.random.default_rng(s) for s in root.spawn(4)
+        )
         rate = int(for_trials.choice(RATES[1:] if self.noise == "hum" else RATES))
         long = bool(for_trials.random() < 0.4)
         size = float(np.exp(for_trials.uniform(*np.log(_SIZES))))
-        joint, clean, matters = self._draw(for_joint, for_trials, rate, long)
+        # A coarse recorder sees a torque that is straight between its samples, or a smooth one.
+        smooth = self.imposed == "torque" and rate <= _COARSE and bool(for_torque.random() < 0.5)
+        joint, clean, matters = self._draw(for_joint, for_trials, rate, long, smooth)
         response = 1 if self.imposed == "angle" else 2
         energy = np.mean([np.var(signals[response]) for signals in clean])
         sd = float(np.sqrt(self.ratio * energy))
@@ -93,6 +99,8 @@ class BlindSpec:
         )
         held_out = () if long else trials[_FIT:]
         parameters = {**joint.parameters, "size": size, "rate": float(rate)}
+        if smooth:
+            parameters["smooth"] = 1.0
         return HiddenCase(
             self.name,
             self.keys,
@@ -106,14 +114,21 @@ class BlindSpec:
         )
 
     def _draw(
-        self, for_joint: np.random.Generator, random: np.random.Generator, rate: int, long: bool
+        self,
+        for_joint: np.random.Generator,
+        random: np.random.Generator,
+        rate: int,
+        long: bool,
+        smooth: bool,
     ) -> tuple[Joint, list[tuple[np.ndarray, ...]], bool]:
         """Draw joints until each effect of one shows well above the noise, or attempts are over."""
         for attempt in range(20 * ATTEMPTS):
             joint = draw_joint(self.keys, for_joint)
-            perturb = _pushed if self.imposed == "torque" else _moved
             try:
-                clean = perturb(joint, random, rate, long)
+                if self.imposed == "torque":
+                    clean = _pushed(joint, random, rate, long, _FINER if smooth else 1)
+                else:
+                    clean = _moved(joint, random, rate, long)
             except ArithmeticError:
                 continue
             if max(np.abs(signals[2]).max() for signals in clean) > LARGEST_MOVEMENT:
@@ -163,12 +178,15 @@ def missed(joint: Joint, clean: Sequence[tuple[np.ndarray, ...]], imposed: Impos
     ----------
     joint : Joint
     clean : sequence of tuple of array
-        Time, torque and angle of each trial without noise and, of an imposed angle, its motion.
+        Time, torque and angle of each trial without noise; then, of an imposed torque, how many
+        steps a sample it is smooth in, of an imposed angle its motion.
     imposed : {"torque", "angle"}
     """
     trials = clean[:: max(1, len(clean) // 3)]
     if imposed == "torque":
-        trials = [tuple(x[: round(_JUDGED / (s[0][1] - s[0][0]))] for x in s) for s in trials]
+        trials = [
+            (*(x[: round(_JUDGED / (s[0][1] - s[0][0]))] for x in s[:3]), s[3]) for s in trials
+        ]
     energy = sum(float(np.sum(np.square(s[2 if imposed == "torque" else 1]))) for s in trials)
     if imposed == "angle":
         # Linear in K, B and I: what the rest of the joint does not resist is regressed on motion.
@@ -186,9 +204,9 @@ def missed(joint: Joint, clean: Sequence[tuple[np.ndarray, ...]], imposed: Impos
     def residuals(logs: np.ndarray) -> np.ndarray:
         moved = joint.scaled(*np.exp(np.clip(logs, -3, 3)))
         parts = []
-        for time, torque, angle in trials:
+        for time, torque, angle, finer in trials:
             try:
-                own = moved.respond(torque, float(time[1] - time[0]), _QUICK_RTOL)
+                own = _response(moved, torque, time[1] - time[0], int(finer), _QUICK_RTOL)
             except ArithmeticError:
                 own = np.zeros(time.size)
             parts.append(own - angle)
@@ -200,10 +218,27 @@ def missed(joint: Joint, clean: Sequence[tuple[np.ndarray, ...]], imposed: Impos
     return float(2 * found.cost)
 
 
+def _response(
+    joint: Joint, torque: np.ndarray, interval: float, finer: int, rtol: float = RTOL
+) -> np.ndarray:
+    """Angle at the samples of a torque that is linear in so many steps a sample, on a spline."""
+    if finer == 1:
+        return joint.respond(torque, float(interval), rtol)
+    at = np.arange(torque.size)
+    spline = interpolate.make_interp_spline(at, torque, k=3)
+    between = spline(np.arange((torque.size - 1) * finer + 1) / finer)
+    # At rest the spline's ringing is no torque that a joint would have to be followed for.
+    between[np.abs(between) < _RINGING * np.abs(torque).max()] = 0.0
+    return joint.respond(between, float(interval) / finer, rtol)[::finer]
+
+
 def _pushed(
-    joint: Joint, random: np.random.Generator, rate: int, long: bool
+    joint: Joint, random: np.random.Generator, rate: int, long: bool, finer: int
 ) -> list[tuple[np.ndarray, ...]]:
-    """Time, torque and angle of every trial, torque imposed: pulses, steps, random steps."""
+    """Time, torque and angle of every trial, torque imposed: pulses, steps, random steps.
+
+    Smooth torques have no corners: each is spread over some samples first.
+    """
     strength = joint.anatomy.stiffness
     out: list[tuple[np.ndarray, ...]] = []
     for i in range(1 if long else _FIT + _HELD_OUT):
@@ -230,7 +265,10 @@ def _pushed(
             wave = np.sin(run).sum(axis=1)
             torque[quiet:] = 0.3 * wave / np.abs(wave).max()
         torque *= strength * random.uniform(0.5, 1.2) * (1 if long else random.choice([-1, 1]))
-        out.append((time, torque, joint.respond(torque, 1 / rate)))
+        if finer > 1:
+            spread = np.convolve(torque, _SPREAD, mode="full")[: torque.size]
+            torque = np.where(np.arange(n) < quiet, 0.0, spread)
+        out.append((time, torque, _response(joint, torque, 1 / rate, finer), np.array(finer)))
     return out
 
 
