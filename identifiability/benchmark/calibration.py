@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import json
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Executor
 from dataclasses import asdict, dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -186,6 +187,7 @@ def measure(
     seed: int,
     folder: Path | None = None,
     workers: int | None = None,
+    executor: Callable[[], Executor] | None = None,
     progress: bool = True,
 ) -> tuple[list[BlindScore], list[Outcome]]:
     """Investigate about so many cases, half of them with the angle imposed.
@@ -196,7 +198,7 @@ def measure(
         Cases in all, shared among the tiers by `PROPORTIONS`.
     seed : int
         Every seed makes other cases.
-    folder, workers, progress
+    folder, workers, executor, progress
         See `sweep`.
     """
     tasks = {spec.name: spec for tier in TIERS for spec in blind_cases(tier, seed, share(tier, n))}
@@ -206,7 +208,8 @@ def measure(
         folder=folder,
         label="calibration",
         workers=workers,
-        timeout_s=_TIME_LIMIT,
+        timeout_s=None if executor else _TIME_LIMIT,
+        executor=executor,
         progress=progress,
     )
     scores = [

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -113,6 +114,7 @@ def measure(
     kinds: Sequence[str] = KINDS,
     folder: Path | None = None,
     workers: int | None = None,
+    executor: Callable[[], Executor] | None = None,
     progress: bool = True,
 ) -> tuple[list[Row], list[Outcome]]:
     """Fit so many recordings of every kind, in both causalities, and count.
@@ -123,7 +125,7 @@ def measure(
         Recordings of each kind.
     seed : int
     kinds : sequence of str
-    folder, workers, progress
+    folder, workers, executor, progress
         See `sweep`.
     """
     tasks = {
@@ -135,7 +137,13 @@ def measure(
         for first in range(0, n, _PER_TASK)
     }
     outcomes = sweep(
-        errors, tasks, folder=folder, label="coverage", workers=workers, progress=progress
+        errors,
+        tasks,
+        folder=folder,
+        label="coverage",
+        workers=workers,
+        executor=executor,
+        progress=progress,
     )
     rows = []
     for kind in kinds:

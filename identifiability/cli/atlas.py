@@ -10,10 +10,9 @@ from typing import Any
 from identifiability.cli.exits import PARTIAL, complain
 from identifiability.cli.options import (
     add_out_option,
-    add_workers_option,
-    check_workers,
     with_examples,
 )
+from identifiability.cli.workers import add_workers_option, workers_of
 
 
 def add_parser(commands: Any) -> None:
@@ -45,7 +44,7 @@ def add_parser(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the subcommand."""
-    check_workers(options)
+    crew = workers_of(options)
 
     from identifiability.files import output_folder, write_json, write_text
     from identifiability.plots.atlas import draw_corners, drawings
@@ -58,10 +57,12 @@ def run(options: argparse.Namespace) -> int:
     plan = read_plan(options.config)
     out = output_folder(options.out)
     cells = out / "atlas.cells"
-    outcomes = run_atlas(plan, cells, workers=options.workers)
+    outcomes = run_atlas(plan, cells, workers=crew.workers, executor=crew.executor)
     data = to_dataset(plan, outcomes)
     write_atlas(data, out / "atlas.nc")
-    drawn, corners = draw_corners(plan, cells, folder=out / "atlas", workers=options.workers)
+    drawn, corners = draw_corners(
+        plan, cells, folder=out / "atlas", workers=crew.workers, executor=crew.executor
+    )
     figures = []
     for found in drawings(data):
         path = save(found.draw(), out / "atlas" / f"{found.stem}.png")

@@ -11,11 +11,10 @@ from typing import Any
 from identifiability.cli.exits import PARTIAL, complain
 from identifiability.cli.options import (
     add_out_option,
-    add_workers_option,
     check_seed,
-    check_workers,
     with_examples,
 )
+from identifiability.cli.workers import add_workers_option, workers_of
 from identifiability.errors import InputError
 
 
@@ -84,7 +83,7 @@ def _publish(out: Path, name: str, found: dict[str, Any], page: str, said: Seque
 
 
 def _run_calibration(options: argparse.Namespace) -> int:
-    check_workers(options)
+    crew = workers_of(options)
     if options.cases < 1:
         raise InputError(f"found --cases {options.cases}, expected 1 or more")
     for seed in options.seed:
@@ -103,7 +102,7 @@ def _run_calibration(options: argparse.Namespace) -> int:
     outcomes: list[Outcome] = []
     for seed in options.seed:
         by_seed[seed], done = measure(
-            options.cases, seed=seed, folder=cells, workers=options.workers
+            options.cases, seed=seed, folder=cells, workers=crew.workers, executor=crew.executor
         )
         outcomes += done
     found = together(by_seed, n=options.cases)
@@ -125,7 +124,7 @@ def _one_seed(options: argparse.Namespace) -> int:
 
 
 def _run_coverage(options: argparse.Namespace) -> int:
-    check_workers(options)
+    crew = workers_of(options)
     if options.recordings < 2:
         raise InputError(f"found --recordings {options.recordings}, expected 2 or more")
     seed = _one_seed(options)
@@ -135,7 +134,9 @@ def _run_coverage(options: argparse.Namespace) -> int:
 
     out = output_folder(options.out)
     cells = out / "coverage.cells"
-    rows, outcomes = measure(options.recordings, seed=seed, folder=cells, workers=options.workers)
+    rows, outcomes = measure(
+        options.recordings, seed=seed, folder=cells, workers=crew.workers, executor=crew.executor
+    )
     found = record(rows, n=options.recordings, seed=seed)
     said = [
         f"{row.kind}, {row.imposed} imposed, {row.name}: {row.covered} of {row.n} "

@@ -65,22 +65,6 @@ def add_out_option(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder for results")
 
 
-def add_workers_option(parser: argparse.ArgumentParser) -> None:
-    """Add the number of processes."""
-    parser.add_argument(
-        "--workers",
-        type=int,
-        metavar="N",
-        help="processes, of one thread each (default: one per processor)",
-    )
-
-
-def check_workers(options: argparse.Namespace) -> None:
-    """Refuse a number of processes below one."""
-    if options.workers is not None and options.workers < 1:
-        raise InputError(f"found --workers {options.workers}, expected 1 or more")
-
-
 def add_seed_option(parser: argparse.ArgumentParser, of: str) -> None:
     """Add the seed of what is drawn."""
     parser.add_argument("--seed", type=int, default=1, help=f"of {of} (1)")

@@ -10,10 +10,9 @@ from typing import Any
 from identifiability.cli.exits import PARTIAL
 from identifiability.cli.options import (
     add_out_option,
-    add_workers_option,
-    check_workers,
     with_examples,
 )
+from identifiability.cli.workers import add_workers_option, workers_of
 
 
 def add_parser(commands: Any) -> None:
@@ -39,7 +38,7 @@ def add_parser(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the subcommand."""
-    check_workers(options)
+    crew = workers_of(options)
 
     import numpy as np
 
@@ -58,7 +57,10 @@ def run(options: argparse.Namespace) -> int:
     ]
     unfinished = out / "paper.cells"
     results, failed = study.compute_rows(
-        [*study.rows(K, B, ratios), *beyond], folder=unfinished, workers=options.workers
+        [*study.rows(K, B, ratios), *beyond],
+        folder=unfinished,
+        workers=crew.workers,
+        executor=crew.executor,
     )
     if failed:
         print(

@@ -483,7 +483,11 @@ def _again(record: Record) -> str:
     seconds = record["cells"]["seconds"]
     cost = ""
     if seconds["finite"]:
-        cost = f" A cell takes {number(seconds['q50'], 2)} s of one processor (median)."
+        hours = seconds["q50"] * 1e6 / 3600
+        cost = (
+            f" A cell takes {number(seconds['q50'], 2)} s of one processor (median), a million of "
+            f"them {hours:.0f} hours, shared by all that [work](../docs/cluster.md)."
+        )
     return f"""\
 ## Again
 
