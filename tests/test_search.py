@@ -105,17 +105,15 @@ def test_a_plainer_effect_is_weighed_from_the_values_of_its_richer_form(driven):
 @pytest.mark.parametrize("driven", ["torque", "angle"])
 def test_what_every_likely_set_has_need_not_have_been_weighed_by_itself(driven):
     """What is sure whatever else is missing may be a set that no search came by."""
-    study = study_of_a_pair(driven, KEYS)
-    posterior = study.weigh()
     pair = ("cubic_stiffness", "sensor_delay")
+    study = study_of_a_pair(driven, pair)
+    posterior = study.weigh()
     sets = {keys: one for keys, one in posterior.sets.items() if keys != pair}
     model = posterior.sets[pair].candidate.model + EFFECTS["second_mass"]()
     values = nested_values(model, posterior.sets[pair].candidate.values)
     sets[tuple(sorted(KEYS))] = replace(posterior.sets[pair], candidate=unfitted(model, values))
     claim = Claim("unknown", pair, (), 1.0)
-    found = found_of(
-        study.bench, study.baseline, replace(posterior, sets=sets), claim, study.library
-    )
+    found = found_of(study.bench, study.baseline, replace(posterior, sets=sets), claim, LIBRARY)
     assert not found.failure
     assert found.final.keys == pair
     assert sorted(one.key for one in found.missing) == sorted(pair)
