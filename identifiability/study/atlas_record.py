@@ -22,7 +22,7 @@ from identifiability.inference.widths import (
 from identifiability.joint.model import KBI
 from identifiability.provenance import stamp
 from identifiability.study.store import CELL
-from identifiability.study.tracking import PREDICTIONS, structural, tracking, within
+from identifiability.study.tracking import PREDICTIONS, relative, structural, tracking, within
 
 SCHEMA = 2
 QUANTILES = (0.05, 0.25, 0.5, 0.75, 0.95)
@@ -122,6 +122,7 @@ def record(
             for prediction in PREDICTIONS
         ],
         "tolerances": [{**place, "within": within(part)} for place, part in groups("reading", "T")],
+        "relative": [{**place, **relative(part)} for place, part in groups("reading", "T")],
         "structural": [{**place, **structural(part)} for place, part in groups("reading", "T")],
         "sampler": _sampler(done),
         "referee": _referee(done),

@@ -16,6 +16,7 @@ PREDICTIONS = ("quadratic", "change")
 
 TOLERANCES = (0.01, 0.02, 0.05, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.75, 1.0)
 _RESAMPLES, _SEED = 1000, 1
+_NOTHING = 1e-6  # an optimum that is on its bound
 _MODEL = ("K_CE", "B_CE", "ratio")
 
 Record = dict[str, Any]
@@ -84,6 +85,37 @@ def within(part: xr.Dataset) -> list[Record]:
     off = abs(part["posterior_sd"] / part["quadratic"] - 1).max("parameter", skipna=False).values
     off = np.where(np.isfinite(off), off, np.inf)
     return [{"tolerance": t, "share": float(np.mean(off <= t))} for t in TOLERANCES]
+
+
+def relative(part: xr.Dataset) -> Record:
+    """Mean uncertainty of K and B as a share of their size, by Eq. 15 and by the posterior.
+
+    Parameters
+    ----------
+    part : Dataset
+        Finished cells, along ``cell``.
+
+    Returns
+    -------
+    dict
+        By parameter and field, mean and standard deviation over the cells whose parameter is not 0,
+        the posterior's as a share of its mean; and how many those are.
+    """
+    found: Record = {"of": part.sizes["cell"]}
+    for name in ("K", "B"):
+        one = part.sel(parameter=name)
+        shares = {
+            "change": (one["change"] / one["optimum"]).values,
+            "posterior": (one["posterior_sd"] / one["posterior_mean"]).values,
+        }
+        usable = np.all([np.isfinite(s) for s in shares.values()], axis=0)
+        usable &= one["optimum"].values > _NOTHING
+        found[name] = {"of": int(usable.sum())} | {
+            key: {"mean": float(s[usable].mean()), "sd": float(s[usable].std())}
+            for key, s in shares.items()
+            if usable.any()
+        }
+    return found
 
 
 def structural(part: xr.Dataset) -> Record:
