@@ -423,9 +423,9 @@ def _claims(record: Record) -> str:
     heads = ["T", "K, Eq. 15", "K, posterior", "B, Eq. 15", "B, posterior"]
     said = ""
     if means and all(p < c for *c_, pK, pB in means for c, p in zip(c_, (pK, pB), strict=True)):
-        said = """They are sensitive, but less than Eq. 15 says: values that no joint has take a part
-of the ellipse, most of it in short windows, and what is left is as wide as the bounds allow, which
-is not what was measured."""
+        said = """They are sensitive, but less than Eq. 15 says: values that no joint has take a
+part of the ellipse, most of it in short windows, and what is left is as wide as the bounds allow,
+which is not what was measured."""
     if len(means) > 1 and all(b < a for m, n in pairwise(means) for a, b in zip(m, n, strict=True)):
         said += """
 
