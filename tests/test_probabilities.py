@@ -33,7 +33,12 @@ from identifiability.investigation.posterior.beginnings import Beginnings
 from identifiability.investigation.posterior.claim import claim_of
 from identifiability.investigation.posterior.columns import without
 from identifiability.investigation.posterior.descriptions import descriptions_of
-from identifiability.investigation.posterior.discrepancy import _known, discrepancy_of
+from identifiability.investigation.posterior.discrepancy import (
+    Discrepancy,
+    Discrepant,
+    _known,
+    discrepancy_of,
+)
 from identifiability.investigation.posterior.evidence import Evaluated
 from identifiability.investigation.posterior.growing import growing_noise
 from identifiability.investigation.posterior.laplace import log_volume, moved_by
@@ -475,6 +480,33 @@ def test_a_torque_that_nothing_names_is_found_and_noise_is_not():
     gain, beside = probabilities_with(swing, torque_sd=0.05)
     assert gain > 20
     assert beside.kind == "varying"
+
+
+def test_no_more_is_missing_than_is_left(monkeypatch):
+    """Whatever a discrepancy adds that parameters and the noise's colour take back."""
+    swing = Joint(ANATOMY, (TimeVaryingStiffness(8.0, 3.0),))
+    evaluator = evaluator_for(servo_trials(swing, torque_sd=0.05))
+    plain = evaluator.evaluate(KBI(), [START])
+    discrepancy, asked = discrepancy_of(evaluator, plain), []
+
+    def adding(size):
+        def beside(_, found, most=None):
+            asked.append(most)
+            return Discrepant(1.0 if most is None else 0.0, {"varying": size}, size)
+
+        return beside
+
+    left = plain.weights.estimate.rms / evaluator.band.scale
+    for size, most, tolerated in (
+        (10 * left, 1.1 * left, True),
+        (10 * left, 0.9 * left, False),
+        (0.5 * left, 0.6 * left, True),
+    ):
+        asked.clear()
+        monkeypatch.setattr(Discrepancy, "beside", adding(size))
+        free, form = discrepancy.inexact(plain, most)
+        assert (form is free) == tolerated
+        assert asked == ([None] if tolerated else [None, most * evaluator.band.scale])
 
 
 def test_noise_that_a_resonance_amplifies_is_no_torque_of_its_own():

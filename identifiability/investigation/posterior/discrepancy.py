@@ -117,6 +117,9 @@ class Discrepancy:
     def inexact(self, found: Evaluated, most: float) -> tuple[Discrepant, Discrepant]:
         """A model with any discrepancy, and with one that its equations' error explains.
 
+        No more can be missing than is left. Beside a narrow resonance a discrepancy may add far
+        more than that, which the model's own parameters, moved, and the noise's colour take back.
+
         Parameters
         ----------
         found : Evaluated
@@ -124,7 +127,8 @@ class Discrepancy:
             Size over the response's, as in `Discrepant`, that its equations may be wrong by.
         """
         free = self.beside(found)
-        if free.size <= most:
+        left = found.weights.estimate.rms / self.evaluator.band.scale
+        if min(free.size, left) <= most:
             return free, free
         return free, self.beside(found, most * self.evaluator.band.scale)
 
