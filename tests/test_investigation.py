@@ -1,5 +1,7 @@
 """The investigation: evidence, candidates, search, verdict, on data of an independent simulator."""
 
+import argparse
+import inspect
 import json
 from dataclasses import replace
 
@@ -9,6 +11,7 @@ from constructed import probabilities
 from hidden import HELD, JOINT, TIME, record_that_grows, trials
 
 from identifiability.benchmark.score import matched, wilson
+from identifiability.cli import investigate as command
 from identifiability.cli.main import main
 from identifiability.errors import InputError
 from identifiability.inference.starts import starting_values
@@ -246,15 +249,33 @@ def test_a_set_that_was_not_weighed_is_fitted_from_the_final_values():
     )
 
 
-def test_a_final_model_that_cannot_be_fitted_is_recorded_not_raised(monkeypatch, cubic_study):
-    whole, (_, posterior) = Workbench.fit, cubic_study
-    study = study_of(KBI() + EFFECTS["cubic_stiffness"](), CUBIC, SMALL)  # without its fits
+def failing_fits(monkeypatch):
+    """Have every fit of a model with effects fail."""
+    whole = Workbench.fit
 
     def failing(bench, model, starts, **options):
         found = whole(bench, model, starts, **options)
         return replace(found, failure="no finite response") if model.effect_keys else found
 
     monkeypatch.setattr(Workbench, "fit", failing)
+
+
+def test_a_final_model_that_cannot_be_fitted_stands_as_it_was_weighed(monkeypatch, cubic_study):
+    _, posterior = cubic_study
+    study = study_of(KBI() + EFFECTS["cubic_stiffness"](), CUBIC, SMALL)  # without its fits
+    failing_fits(monkeypatch)
+    found = study.climb(posterior)
+    assert not found.failure
+    assert found.final.values == posterior.sets["cubic_stiffness",].candidate.values
+    assert found.final.held_out.error < 0.01 * found.baseline.held_out.error
+    assert study.judge(posterior, found, study.unexplained(found.final)).kind == "explained"
+
+
+def test_a_final_model_of_no_error_is_recorded_not_raised(monkeypatch, cubic_study):
+    _, posterior = cubic_study
+    study = study_of(KBI() + EFFECTS["cubic_stiffness"](), CUBIC, SMALL)
+    failing_fits(monkeypatch)
+    monkeypatch.setattr(Workbench, "_unmoved", lambda bench, candidate, failed: failed)
     found = study.climb(posterior)
     assert found.failure == "no finite response"
     assert found.final is found.baseline
@@ -264,6 +285,13 @@ def test_a_final_model_that_cannot_be_fitted_is_recorded_not_raised(monkeypatch,
     assert (verdict.kind, verdict.effects) == ("undecided", ())
     (why,) = (reason for reason in verdict.reasons if reason.kind == "no error")
     assert (why.effects, why.remark) == (("cubic_stiffness",), "no finite response")
+
+
+def test_the_command_adds_as_many_effects_as_python():
+    parser = argparse.ArgumentParser()
+    command.add_parser(parser.add_subparsers())
+    options = parser.parse_args(["investigate", "trial.csv", "--out", "found"])
+    assert options.most == inspect.signature(investigate).parameters["most"].default is None
 
 
 def test_a_convention_can_be_changed():

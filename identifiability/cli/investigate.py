@@ -55,7 +55,7 @@ def add_parser(commands: Any) -> None:
     )
     add_lowpass_option(parser)
     add_bounds_option(parser)
-    parser.add_argument("--most", type=int, default=3, metavar="N", help="most effects to add (3)")
+    parser.add_argument("--most", type=int, metavar="N", help="most effects to add (4)")
     parser.add_argument(
         "--limits",
         nargs="+",
@@ -75,12 +75,15 @@ def run(options: argparse.Namespace) -> int:
     from identifiability.files import output_folder
     from identifiability.investigation.fits.kept import OnDisk
     from identifiability.investigation.investigate import investigate
+    from identifiability.investigation.rules import Rules
     from identifiability.measurement.readers.formats import readable_files
     from identifiability.report.investigation import investigation_text, write_investigation
 
     check_seed(options.seed)
-    if not 0 <= options.most <= 3:
-        raise InputError(f"found --most {options.most}, expected 0 to 3 effects")
+    if options.most is not None and not 0 <= options.most <= Rules().most_effects:
+        raise InputError(
+            f"found --most {options.most}, expected 0 to {Rules().most_effects} effects"
+        )
     lowpass = parse_lowpass(options.lowpass)
     bounds = parse_bounds(options.bounds)
     files = readable_files(options.files)

@@ -278,10 +278,39 @@ class Workbench:
         return float(allowed)
 
     def finish(self, candidate: Candidate) -> Candidate:
-        """Fit a candidate that is not fitted yet, from the values that it has."""
+        """Fit a candidate that is not fitted yet, from the values that it has.
+
+        Where that leads to what cannot be integrated or fitted, its own values stand.
+        """
         if candidate.failure or candidate.free:
             return candidate
-        return self.fit(candidate.model, [candidate.values], refined=candidate.refined)
+        found = self.fit(candidate.model, [candidate.values], refined=candidate.refined)
+        return self._unmoved(candidate, found) if found.failure else found
+
+    def _unmoved(self, candidate: Candidate, failed: Candidate) -> Candidate:
+        """A candidate at its own values, in steps short enough; or the one that failed."""
+        model, values = candidate.model, candidate.values
+        scheme = candidate.scheme or self._apriori(model, [values])
+        problem = self.problem(model, self.split.fitted, refined=candidate.refined, scheme=scheme)
+        try:
+            while True:
+                (fitted, held_out), moved, excess = self._checked(problem, values)
+                wanted = self._wanted(problem, excess)
+                if not wanted.is_finer_than(problem.integration):
+                    break
+                problem = problem.with_scheme(wanted)
+        except (InputError, ValueError, FloatingPointError, np.linalg.LinAlgError):
+            return failed
+        if not fitted.weighted < _DIVERGED:
+            return failed
+        return replace(
+            candidate,
+            free=problem.names,
+            fitted=fitted,
+            held_out=held_out,
+            scheme=problem.integration,
+            solver_error=moved,
+        )
 
 
 def _refined(problem: Problem) -> tuple[str, ...]:
