@@ -490,7 +490,7 @@ def test_no_more_is_missing_than_is_left(monkeypatch):
     discrepancy, asked = discrepancy_of(evaluator, plain), []
 
     def adding(size):
-        def beside(_, found, most=None):
+        def beside(_, found, most=None, nested=None):
             asked.append(most)
             return Discrepant(1.0 if most is None else 0.0, {"varying": size}, size)
 
@@ -555,7 +555,8 @@ def test_a_discrepancy_does_not_depend_on_where_the_parameters_were(driven):
         moved = evaluator.evaluated(plain.problem, x, plain.weights)
         found.append(discrepancy.beside(moved).log_evidence)
     assert min(found) > plain.log_evidence + 10
-    assert np.ptp(found) < 0.5
+    # Noise and discrepancy are estimated in turn until a round brings less than half a nat.
+    assert np.ptp(found) < 1.5
 
 
 def test_what_noise_takes_from_weights_is_given_back():
@@ -1022,3 +1023,21 @@ def test_a_servo_with_a_noisy_angle(hidden, expected):
     assert claim.kind == expected
     if hidden:
         assert "maxwell_branch" in claim.sets[0]
+
+
+def test_a_model_with_a_discrepancy_begins_where_a_smaller_one_ended():
+    """What holds of models holds of them with a discrepancy: none is less probable by a miss."""
+    swing = Joint(ANATOMY, (TimeVaryingStiffness(8.0, 3.0),))
+    evaluator = evaluator_for(servo_trials(swing, torque_sd=0.005))
+    plain = evaluator.evaluate(KBI(), [START])
+    model = KBI() + EFFECTS["cubic_stiffness"]()
+    more = evaluator.evaluate(
+        model, [plain.values | {"cubic_stiffness.coefficient": 1.0, "cubic_stiffness.centre": 0.0}]
+    )
+    discrepancy = discrepancy_of(evaluator, plain)
+    smaller = discrepancy.beside(plain)
+    alone, begun = discrepancy.beside(more), discrepancy.beside(more, nested=smaller)
+    assert smaller.reached is not None
+    assert begun.log_evidence >= alone.log_evidence
+    # It is the smaller one's but for the cubic's own parameters, which cost some nats.
+    assert begun.log_evidence > smaller.log_evidence - 25

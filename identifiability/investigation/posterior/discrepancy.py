@@ -44,7 +44,7 @@ _COUNTS = 1e-4  # size, over the response's, from which a kind is there
 _LOG_RANGE = np.log(_LARGEST / _COUNTS)  # of a kind's size, whose prior is uniform in ratios
 _STEPS, _MOVED = 80, 0.03
 _KEPT = 0.5  # share of what a slope promises, that a step along it must keep
-_ROUNDS, _GAIN = 4, 0.5  # of noise and discrepancy in turn; nats that one must bring
+_ROUNDS, _GAIN = 12, 0.5  # of noise and discrepancy in turn; nats that one must bring
 _MOST_ACTIVE = 0.25  # share of the samples that may go into directions of the discrepancy
 _RIDGE = 1e-10  # of columns that repeat each other
 _WORTH = 1.0  # nats below which no discrepancy is looked for any further
@@ -63,11 +63,14 @@ class Discrepant:
         model's own parameters could do as well does not count.
     size : float
         The same of all kinds together, which may cancel each other.
+    reached : tuple of array and Weights, or None
+        The prior's size of each kind [rad or Nm] and the noise, from which another model may begin.
     """
 
     log_evidence: float
     sizes: dict[str, float]
     size: float
+    reached: tuple[np.ndarray, Weights] | None = None
 
     @property
     def kind(self) -> str:
@@ -94,7 +97,9 @@ class Discrepancy:
     columns: Mapping[str, Columns]
     noise: Weights
 
-    def beside(self, found: Evaluated, most: float | None = None) -> Discrepant:
+    def beside(
+        self, found: Evaluated, most: float | None = None, nested: Discrepant | None = None
+    ) -> Discrepant:
         """A model with a discrepancy, noise and discrepancy estimated in turn.
 
         Parameters
@@ -103,6 +108,8 @@ class Discrepancy:
         most : float, optional
             Largest root mean square [rad or Nm] of each kind; a few times the response's by
             default.
+        nested : Discrepant, optional
+            Of a model that this one contains, to begin from too.
         """
         own, size = inconstant(self.evaluator.band, found)
         cap = _LARGEST * self.evaluator.band.scale if most is None else most
@@ -111,10 +118,17 @@ class Discrepancy:
         beside = _Beside(self.evaluator, columns, caps, self._lively)
         # Noise and discrepancy stay near where they start from: what a model leaves without one
         # is more and slower than what it leaves beside it.
-        starts = [found.weights] if self.noise is found.weights else [found.weights, self.noise]
-        return max((beside.of(found, w) for w in starts), key=lambda one: one.log_evidence)
+        first = np.minimum(_FIRST * self.evaluator.band.scale, caps)
+        starts = [(first, found.weights)]
+        if self.noise is not found.weights:
+            starts.append((first, self.noise))
+        if nested is not None and nested.reached is not None:
+            starts.append((np.minimum(nested.reached[0], caps), nested.reached[1]))
+        return max((beside.of(found, *s) for s in starts), key=lambda one: one.log_evidence)
 
-    def inexact(self, found: Evaluated, most: float) -> tuple[Discrepant, Discrepant]:
+    def inexact(
+        self, found: Evaluated, most: float, nested: Discrepant | None = None
+    ) -> tuple[Discrepant, Discrepant]:
         """A model with any discrepancy, and with one that its equations' error explains.
 
         No more can be missing than is left. Beside a narrow resonance a discrepancy may add far
@@ -125,8 +139,10 @@ class Discrepancy:
         found : Evaluated
         most : float
             Size over the response's, as in `Discrepant`, that its equations may be wrong by.
+        nested : Discrepant, optional
+            Of a model that this one contains, with any discrepancy: see `beside`.
         """
-        free = self.beside(found)
+        free = self.beside(found, nested=nested)
         left = found.weights.estimate.rms / self.evaluator.band.scale
         if min(free.size, left) <= most:
             return free, free
@@ -168,10 +184,9 @@ class _Beside:
         widths = [columns.there[0].shape[1] for columns in self.columns.values()]
         return np.repeat(np.arange(len(widths)), widths)
 
-    def of(self, found: Evaluated, weights: Weights) -> Discrepant:
-        """The model with the discrepancy of highest evidence, from some noise on."""
+    def of(self, found: Evaluated, sizes: np.ndarray, weights: Weights) -> Discrepant:
+        """The model with the discrepancy of highest evidence, from some sizes and noise on."""
         evaluator, band = self.evaluator, self.evaluator.band
-        sizes = np.minimum(_FIRST * band.scale, self.caps)
         here, best = found, None
         if weights is not found.weights:
             here = evaluator.evaluated(found.problem, found.x, weights, found.refined)
@@ -209,7 +224,8 @@ class _Beside:
             }
             by_kind["unrepeatable"] = float(np.sqrt(share) * rms / band.scale) if grows else 0.0
             whole = self._rms(beyond @ mean) ** 2 + by_kind["unrepeatable"] ** 2
-            best = Discrepant(log_evidence, by_kind, float(np.sqrt(whole)))
+            reached = sizes, here.weights
+            best = Discrepant(log_evidence, by_kind, float(np.sqrt(whole)), reached)
             if gain < _WORTH:
                 break
             raw = self._freed(here, inner, sizes, [columns @ mean for columns in self._all])

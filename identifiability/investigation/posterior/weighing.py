@@ -363,7 +363,7 @@ class Weighing:
         """The sets that come near, with their equations inexact, and with something unknown."""
         discrepancies = discrepancy_of(self.evaluator, self.found[ranked[0]])
         least, forms = self.score(ranked[0]) - _CONTENDS, _Forms()
-        near = self._near()
+        near = sorted(self._near(), key=len)
         for i, keys in enumerate(near):
             self.progress("weighing something unknown", i, len(near))
             found, besides = self.found[keys], self._besides(keys)
@@ -371,7 +371,9 @@ class Weighing:
                 # The same effects with values that no joint has are none of these. By how much more
                 # probable is not known far from what was fitted.
                 forms.unknown[keys] = found.log_evidence + found.beyond + besides
-            one = self._beside(discrepancies, keys)
+            smaller = [d for k, d in forms.beside.items() if set(k) < set(keys)]
+            nested = max(smaller, key=lambda d: d.log_evidence, default=None)
+            one = self._beside(discrepancies, keys, nested)
             if one is None:
                 continue
             free, form = one
@@ -466,11 +468,11 @@ class Weighing:
         return _moved(self.found[()], found)
 
     def _beside(
-        self, discrepancies: Discrepancy, keys: Keys
+        self, discrepancies: Discrepancy, keys: Keys, nested: Discrepant | None
     ) -> tuple[Discrepant, Discrepant] | None:
         """A set with any discrepancy, and with one that its equations' error explains."""
         try:
-            return discrepancies.inexact(self.found[keys], self._tolerated(keys))
+            return discrepancies.inexact(self.found[keys], self._tolerated(keys), nested)
         except (ValueError, np.linalg.LinAlgError) as error:
             self.failures[f"{'+'.join(keys)} and a discrepancy"] = str(error)
             return None
