@@ -5,6 +5,7 @@ from dataclasses import replace
 import pytest
 from hidden import JOINT, PAIR, study_of_a_pair
 
+from identifiability.errors import InputError
 from identifiability.inference.starts import nested_values
 from identifiability.investigation.fits.candidate import unfitted
 from identifiability.investigation.ladder.climb import found_of
@@ -100,6 +101,40 @@ def test_a_plainer_effect_is_weighed_from_the_values_of_its_richer_form(driven):
     (values,), richer = job.starts, weighing.found[keys[:2]].values
     for name in ("stiffness", "bypass_stiffness", "bypass_damping"):
         assert values[f"series_tendon.{name}"] == richer[f"nonlinear_tendon.{name}"]
+
+
+def test_what_cannot_be_integrated_has_no_evidence(monkeypatch):
+    """However likely longer steps made it; and what was found in steps short enough stands."""
+    study = study_of_a_pair("torque", KEYS)
+    weighing = Weighing(study._evaluator(1), KEYS)
+    one, other = (KBI() + EFFECTS[key]() for key in KEYS[:2])
+    jobs = [Job(m, [nested_values(m, JOINT)]) for m in (KBI(), one, other)]
+    assert len(list(weighing.weigh(jobs))) == 3
+    finer = Evaluator._finer
+
+    def refuse(problem, found):
+        if "cubic_stiffness" in problem.model.effect_keys:
+            raise InputError("too fast for its samples")
+        return finer(problem, found)
+
+    monkeypatch.setattr(Evaluator, "_finer", staticmethod(refuse))
+    weighing.take_up([(), ("cubic_stiffness",), ("sensor_delay",)])
+    assert ("cubic_stiffness",) not in weighing.found
+    assert weighing.failures["cubic_stiffness"] == "too fast for its samples"
+    assert () in weighing.found
+    assert all(row.effects != ("cubic_stiffness",) for row in weighing.posterior().rows)
+    # It counts as it was before, where that could be integrated.
+    resolved = weighing.found["sensor_delay",]
+    assert weighing.taken_up["sensor_delay",] is resolved
+    better = replace(resolved, log_evidence=resolved.log_evidence + 10)
+    weighing.found["sensor_delay",] = better
+
+    def never(problem, found):
+        raise InputError("too fast for its samples")
+
+    monkeypatch.setattr(Evaluator, "_finer", staticmethod(never))
+    weighing.take_up([("sensor_delay",)])
+    assert weighing.found["sensor_delay",] is resolved
 
 
 @pytest.mark.parametrize("driven", ["torque", "angle"])

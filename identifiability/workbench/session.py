@@ -24,6 +24,7 @@ from identifiability.investigation.session import Investigation, evaluations_of
 from identifiability.investigation.unexplained.account import Unexplained
 from identifiability.investigation.where.compare import Comparison
 from identifiability.investigation.where.locate import Location
+from identifiability.investigation.wording.verdict import model_in_words
 from identifiability.joint.effects import EFFECTS, Effect
 from identifiability.joint.model import KBI, Model
 from identifiability.joint.programs import THREADS
@@ -488,6 +489,8 @@ class Session:
         self._weigh(richer(self._weighing.found[name], name))
         with threadpool_limits(limits=1):
             self._weighing.take_up([name])
+        if name not in self._weighing.found:
+            raise InputError(f"{model_in_words(name)} has no evidence: {self._failure(name)}")
         self._attempts = {k: a for k, a in self._attempts.items() if tuple(sorted(k)) != name}
 
     def _ranked(self, current: Keys, key: str) -> Ranked:

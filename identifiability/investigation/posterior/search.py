@@ -233,6 +233,10 @@ class _Search:
         sets = [keys for keys in self.weighing.found if len(keys) == size]
         return sorted(sets, key=lambda keys: -self.weighing.found[keys].log_evidence)
 
+    def _smaller(self, keys: Keys) -> Keys:
+        """Best set with one effect less, or with fewer where none of those could be integrated."""
+        return next(self._ranked(n)[0] for n in range(len(keys) - 1, -1, -1) if self._ranked(n))
+
     def best(self, size: int) -> Keys | None:
         """Best set of a size."""
         return next(iter(self._ranked(size)), None)
@@ -253,12 +257,11 @@ class _Search:
 
     def improves(self, keys: Keys) -> bool:
         """Whether a set is more probable than the best with one effect less."""
-        smaller = self._ranked(len(keys) - 1)[0]
-        return self.weighing.score(keys) > self.weighing.score(smaller)
+        return self.weighing.score(keys) > self.weighing.score(self._smaller(keys))
 
     def only_mends(self, keys: Keys) -> bool:
         """Whether a set does no more than mend the equations of the best with one effect less."""
-        return len(keys) > 1 and self.weighing.mends(self._ranked(len(keys) - 1)[0], keys)
+        return len(keys) > 1 and self.weighing.mends(self._smaller(keys), keys)
 
     def was_poor(self, keys: Keys) -> bool:
         """Whether a set leaves so much less than the best with one effect less.
@@ -266,7 +269,7 @@ class _Search:
         If not, what was added last may mend that one's equations, but does not do its work.
         """
         found = self.weighing.found
-        smaller, nothing = found[self._ranked(len(keys) - 1)[0]], found[()]
+        smaller, nothing = found[self._smaller(keys)], found[()]
         more = found[keys].log_evidence - smaller.log_evidence
         return more > _POOR * (smaller.log_evidence - nothing.log_evidence)
 

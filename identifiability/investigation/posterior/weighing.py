@@ -193,7 +193,11 @@ class Weighing:
             raise InputError(f"the model to start from has no evidence: {self.failures['']}")
 
     def take_up(self, sets: Sequence[Keys]) -> None:
-        """Evaluate sets further, from where their fits ended, in steps that are short enough."""
+        """Evaluate sets further, from where their fits ended, in steps that are short enough.
+
+        A set for which no steps are has no evidence, whatever longer steps made of it: it counts as
+        it was before, or not at all.
+        """
         sets = [keys for keys in sets if self.taken_up.get(keys) is not self.found[keys]]
 
         def evaluated(keys: Keys) -> Evaluated:
@@ -211,6 +215,11 @@ class Weighing:
             self.progress("weighing the most probable sets further", i + 1, len(sets))
             if isinstance(found, str):
                 self.failures["+".join(keys)] = found
+                if keys in self.taken_up:
+                    self.found[keys] = self.taken_up[keys]
+                elif keys:
+                    del self.found[keys]
+                    continue
             elif why := self._objection(found):
                 self.failures["+".join(keys)] = why
             # In steps that were too long a model may have seemed better than it is.
