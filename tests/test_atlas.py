@@ -386,6 +386,17 @@ def test_the_committed_page_is_made_from_the_committed_record():
         assert (RESULTS / figure["file"]).is_file()
 
 
+def test_the_readme_says_what_the_atlas_found():
+    found = read_record(RESULTS / "atlas.json").record["tracking"]
+    groups = [group for group in found if group["prediction"] == "quadratic"]
+    right = sum(g["within_tenth"]["value"] * g["predicted"] for g in groups)
+    share = right / sum(g["of"] for g in groups)
+    readme = (RESULTS.parent / "README.md").read_text(encoding="utf-8")
+    said = re.search(r"(\d+) % of the posterior widths are within a tenth", readme)
+    assert said is not None
+    assert int(said[1]) == round(100 * share)
+
+
 # -- the command ------------------------------------------------------------------------------
 
 
