@@ -209,7 +209,7 @@ def test_the_command_line_starts_without_heavy_imports(module):
 
 def test_subcommands_share_options_and_not_each_other():
     """The command line flows one way too; only the demonstration runs what it demonstrates."""
-    shared = {f"{PACKAGE}.cli.{name}" for name in ("options", "exits", "clock")}
+    shared = {f"{PACKAGE}.cli.{name}" for name in ("options", "exits", "clock", "workers")}
     for module, tree in TREES.items():
         if layer_of(module) != "cli" or module.endswith((".main", ".demo")):
             continue

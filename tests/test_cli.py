@@ -145,7 +145,7 @@ def test_benchmark_refuses_bad_options(options, words, tmp_path, capsys):
 
 
 def test_benchmark_writes_what_failed_too_and_says_so(tmp_path, capsys, monkeypatch):
-    def fails(n, *, seed, folder, workers):
+    def fails(n, *, seed, folder, workers, executor):
         outcomes = [Outcome("a case", "timed out", cause="no result within 2 s")]
         return [failed(blind_cases("nulls", seed, 1)[0], outcomes[0].cause)], outcomes
 

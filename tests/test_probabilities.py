@@ -1037,7 +1037,7 @@ def test_a_model_with_a_discrepancy_begins_where_a_smaller_one_ended():
     discrepancy = discrepancy_of(evaluator, plain)
     smaller = discrepancy.beside(plain)
     alone, begun = discrepancy.beside(more), discrepancy.beside(more, nested=smaller)
-    assert smaller.reached is not None
+    assert smaller._reached is not None
     assert begun.log_evidence >= alone.log_evidence
     # It is the smaller one's but for the cubic's own parameters, which cost some nats.
     assert begun.log_evidence > smaller.log_evidence - 25

@@ -21,7 +21,7 @@ HIDDEN = {
     "second_mass": {"inertia": 0.02, "frequency": 6.0, "damping_ratio": 0.3},
 }
 NEAR = 1e-4  # of the response: what two forms of one response differ by, once fitted
-APART = 2e-3
+APART = 1.5e-3
 # What mimics what, in any joint. A tendon is a Maxwell branch without damping beside it (Fung,
 # ch. 2). A mass on a dashpot alone is a stiffness that arrives late, beside a stiffer and
 # less damped joint: no form of its own, but a limit that probabilities have to tell apart.

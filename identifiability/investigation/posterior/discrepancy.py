@@ -19,7 +19,7 @@ unknown.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -63,14 +63,13 @@ class Discrepant:
         model's own parameters could do as well does not count.
     size : float
         The same of all kinds together, which may cancel each other.
-    reached : tuple of array and Weights, or None
-        The prior's size of each kind [rad or Nm] and the noise, from which another model may begin.
     """
 
     log_evidence: float
     sizes: dict[str, float]
     size: float
-    reached: tuple[np.ndarray, Weights] | None = None
+    # The prior's size of each kind [rad or Nm] and the noise, from which another model may begin.
+    _reached: tuple[np.ndarray, Weights] | None = field(default=None, repr=False)
 
     @property
     def kind(self) -> str:
@@ -122,8 +121,8 @@ class Discrepancy:
         starts = [(first, found.weights)]
         if self.noise is not found.weights:
             starts.append((first, self.noise))
-        if nested is not None and nested.reached is not None:
-            starts.append((np.minimum(nested.reached[0], caps), nested.reached[1]))
+        if nested is not None and nested._reached is not None:
+            starts.append((np.minimum(nested._reached[0], caps), nested._reached[1]))
         return max((beside.of(found, *s) for s in starts), key=lambda one: one.log_evidence)
 
     def inexact(
