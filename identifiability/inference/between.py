@@ -18,19 +18,20 @@ from identifiability.inference.fitting import explore
 from identifiability.inference.problem import Prior, Problem, observe
 from identifiability.inference.starts import first_guess
 from identifiability.joint.model import KBI
-from identifiability.measurement.noise import Noise
+from identifiability.measurement.noise import Noise, correlation_time
 from identifiability.measurement.prepared import Prepared
 
 _MOST, _SETTLED = 4096, 0.25  # samples of a trial that are looked at; share not compared in motion
 _MATTERS = 1e-3  # share of the misfit that the difference is, below which it cannot be told
+_DECISIVE = 5.0  # nats: less may be an effect that K, B and I lack, which the curve mends a little
 _EVALUATIONS, _FURTHER = 20, 40
 
 
 def joined(prepared: Sequence[Prepared]) -> tuple[Prepared, ...]:
     """Trials with their torque straight or smooth between the samples, whichever fits better.
 
-    By K, B and I fitted to them one way and the other. Straight, where it makes no difference that
-    could be told, or where the angle was imposed.
+    By K, B and I fitted to them one way and the other. Straight, where that is not clearly worse,
+    or where the angle was imposed.
 
     Parameters
     ----------
@@ -54,7 +55,10 @@ def joined(prepared: Sequence[Prepared]) -> tuple[Prepared, ...]:
         )
     except InputError:
         return straight  # nothing to be told by K, B and I; their fit says so
-    return smooth if by_curves.cost < by_lines.cost else straight
+    pieces = [row[row != 0] for row in lines.by_observation(left)]
+    worth = lines.n_samples / correlation_time(*pieces)
+    gained = 0.5 * worth * np.log(by_lines.cost / by_curves.cost)
+    return smooth if gained > _DECISIVE else straight
 
 
 def _problem(prepared: Sequence[Prepared]) -> Problem:

@@ -133,7 +133,9 @@ def judge(
     for missing in found.missing if named else ():
         reasons += _about(missing, found, split, library)
     if named and (left := posterior.discrepancy) is not None and left.kind != "none":
-        size = {"size": left.size * posterior.response, "share": left.size}
+        # No more than is left: the rest parameters and the noise's colour take back.
+        share = min(left.size, posterior.noise / posterior.response)
+        size = {"size": share * posterior.response, "share": share}
         reasons.append(Reason("equations not exact", (), size))
     reasons += _at_bound(found.final)
     if claim.kind == "nothing":
