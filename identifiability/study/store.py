@@ -80,6 +80,8 @@ FIELDS: dict[str, Field] = {
     "draws": Field(("draw", "parameter"), "f4", "thinned posterior draws", "parameter"),
 }
 
+_BULKY = ("draws", "parameter_reason", "step_reason")  # stored with the draws, or not at all
+
 _COORDINATES = {
     "K_CE": ("stiffness of the contractile element", "N m rad-1"),
     "B_CE": ("damping of the contractile element", "N m s rad-1"),
@@ -104,7 +106,7 @@ def to_dataset(plan: Plan, outcomes: Mapping[str, Outcome]) -> xr.Dataset:
         are NaN and texts empty in cells without a result.
     """
     axes = plan.axes
-    names = [name for name in FIELDS if name != "draws" or plan.draws]
+    names = [name for name in FIELDS if plan.draws or name not in _BULKY]
     parameters = KBI().parameters
     sizes = {name: len(values) for name, values in axes.items()}
     sizes |= {"parameter": len(parameters), "side": len(SIDES), "draw": N_DRAWS}
