@@ -149,7 +149,8 @@ def drawings(data: xr.Dataset) -> Iterator[Drawing]:
         "tolerance",
         "tolerance",
         "Share of cells in which none of the three quadratic widths is off by more than a "
-        "tolerance; the dotted line is the one of the verdicts.",
+        "tolerance; the dotted line is the one of the verdicts. What lies below some 4 % is the "
+        "sampler's own error.",
         partial(tolerance_figure, data),
     )
     for reading in data["reading"].values.tolist():
@@ -158,7 +159,8 @@ def drawings(data: xr.Dataset) -> Iterator[Drawing]:
             f"verdict_{reading}",
             "map",
             f"{reading.capitalize()} noise: does the quadratic width hold, and if not, why not. "
-            "Circles: models whose posteriors are drawn above.",
+            "Circles: models whose posteriors are drawn above. Single cells that stand out lie at "
+            "a limit, on either side of which the sampler's own error may put them.",
             partial(verdict_figure, part),
         )
         for name in data["parameter"].values.tolist():
