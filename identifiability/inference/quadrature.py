@@ -28,8 +28,9 @@ _NODES = {
     3: ((14, 12, 11), (18, 15, 14), (28, 22, 19), (40, 28, 22)),
 }
 _SETTLED = 0.02  # change by the finer rule, which by itself is ten times nearer and more
-# An end is found where the density has fallen by the drop, or by as much again, in so many looks.
 _ROUGH = 0.03  # log likelihood that optima may lack from which ranges are laid out
+# An end is found where the density has fallen by the drop, or by half as much again, in so many
+# looks, of which each goes a little beyond.
 _LOOKS, _AMPLE, _BEYOND = 8, 1.6, 1.05
 
 

@@ -366,8 +366,7 @@ def fit_recordings(
     """
     model = KBI() if model is None else model
     prior = Prior.recorded(model) if prior is None else prior
-    prepared = joined(prepare(trials, lowpass_hz=lowpass_hz))
-    whole_band = joined(prepare_whole_band(trials, lowpass_hz=lowpass_hz))
+    prepared, whole_band = _ready(trials, lowpass_hz)
     selections_by_window = [[windows(p, length) for p in prepared] for length in window_lengths]
     guess = first_guess([p.trial for p in prepared], prior)
     starts_seed, *window_seeds = map(
@@ -446,12 +445,21 @@ def fit_with_noise(
         Of the starts.
     """
     prior = Prior.recorded(KBI()) if prior is None else prior
-    prepared = joined(prepare(trials, lowpass_hz=lowpass_hz))
-    whole_band = joined(prepare_whole_band(trials, lowpass_hz=lowpass_hz))
+    prepared, whole_band = _ready(trials, lowpass_hz)
     pose = partial(recording_problem, model=KBI(), prior=prior)
     guess = first_guess([p.trial for p in prepared], prior)
     _, best = best_fit(pose(prepared, [whole(p) for p in prepared]), guess, seed)
     return _noisily(pose, whole_band, [whole(p) for p in whole_band], best)
+
+
+def _ready(
+    trials: Sequence[Trial], lowpass_hz: Lowpass
+) -> tuple[tuple[Prepared, ...], tuple[Prepared, ...]]:
+    """Trials ready for least squares, and for a likelihood that knows the noise."""
+    prepared = joined(prepare(trials, lowpass_hz=lowpass_hz))
+    if prepared[0].trial.driven == "torque":
+        return prepared, prepared  # nothing of them is filtered
+    return prepared, prepare_whole_band(trials, lowpass_hz=lowpass_hz)
 
 
 def _noisily(

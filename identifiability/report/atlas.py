@@ -180,10 +180,7 @@ but for a factor that is the same in all cells of one duration.
         ]
         heads = ["Noise", "T", "", "correlation", "slope", "ratio", "within 10 %", "within 2 x"]
         text += f"\n{title}:\n\n{table(heads, rows)}\n"
-    for figure in record["figures"]:
-        if figure["kind"] == "tracking":
-            text += f"\n![{figure['caption']}]({figure['file']})\n\n*{figure['caption']}*\n"
-    return text
+    return text + _drawn(record, "tracking")
 
 
 def _interval(found: Record | None, shown: Callable[[float], str] = "{:.2f}".format) -> str:
@@ -206,10 +203,16 @@ intervals not asked for:
 
 {table(["Noise", "T", *heads], rows)}
 """
-    for figure in record["figures"]:
-        if figure["kind"] == "tolerance":
-            text += f"\n![{figure['caption']}]({figure['file']})\n\n*{figure['caption']}*\n"
-    return text
+    return text + _drawn(record, "tolerance")
+
+
+def _drawn(record: Record, kind: str) -> str:
+    """The figures of a kind, each with its caption below."""
+    return "".join(
+        f"\n![{figure['caption']}]({figure['file']})\n\n*{figure['caption']}*\n"
+        for figure in record["figures"]
+        if figure["kind"] == kind
+    )
 
 
 def _verdicts(record: Record) -> str:
