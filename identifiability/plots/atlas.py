@@ -218,11 +218,13 @@ def tracking_figure(data: xr.Dataset, field: str) -> Figure:
                     label=f"{reading} noise",
                     rasterized=True,
                 )
-            limits = panel.get_xlim(), panel.get_ylim()
-            panel.axline((1e-3, 1e-3), (1.0, 1.0), color=BLACK, lw=0.9)
-            panel.set(xlim=limits[0], ylim=limits[1])
             if name == names[0]:
                 panel.set_title(f"T = {1000 * T:g} ms")
+        # The panels of a row share their limits, which are known once all are drawn.
+        limits = row[0].get_xlim(), row[0].get_ylim()
+        for panel in row:
+            panel.axline((1e-3, 1e-3), (1.0, 1.0), color=BLACK, lw=0.9)
+            panel.set(xlim=limits[0], ylim=limits[1])
         row[0].set_ylabel(f"posterior sd of {name} [{unit}]")
         for panel in row:
             panel.set_xlabel(f"{_AXES[field]} of {name} [{unit}]")
