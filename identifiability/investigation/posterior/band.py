@@ -66,6 +66,8 @@ class Band:
     recorded : tuple of Trial
         The trials before they were thinned and cut off at `cutoff_hz`. Of an imposed angle.
     cutoff_hz : float
+    most : int
+        Samples that are compared, of long records; about so many.
     """
 
     prepared: tuple[Prepared, ...]
@@ -76,6 +78,7 @@ class Band:
     changed: tuple[tuple[np.ndarray, ...], ...] = ()
     recorded: tuple[Trial, ...] = ()
     cutoff_hz: float = np.inf
+    most: int = MOST_SAMPLES
 
     def without(self, rule: Rule, numbers: Collection[int]) -> Band:
         """The same without what an investigation holds out: trials, or half of one.
@@ -161,7 +164,7 @@ class Band:
 
     def _pieces(self, prepared: Sequence[Prepared]) -> list[tuple[Observation, slice]]:
         """Trials in pieces with their places, of long records as many as are compared."""
-        share = min(1.0, MOST_SAMPLES / self.n_recorded)
+        share = min(1.0, self.most / self.n_recorded)
         out: list[tuple[Observation, slice]] = []
         for p in prepared:
             every = pieces(p, Noise(1.0))

@@ -6,7 +6,7 @@ model (restricted likelihood, one nat for each of its parameters as AICc counts 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,7 +35,9 @@ NOISE_SHARE = 0.02
 percent would be a poor recording. Without it noise of long memory may be the response itself."""
 EVALUATIONS, FURTHER = 12, 40
 """Evaluations from each start of a fit, and for the best two where that did not suffice."""
-_ROUNDS = 2
+_ROUNDS, _MOST_ROUNDS = 2, 12
+_GAIN = 0.5  # nats that one more round of fit and noise must bring
+_PROMISE = 10.0  # times what the last round brought, that all rounds more may bring
 _SOLVER = 1.0  # squared error of the integration, all samples together, over the noise's
 _NEAR_END = 0.1  # nats, twice, that a fit's next step would bring where it ends
 _MISSED = 0.5  # nats by which a model may be less likely than one that it contains
@@ -146,12 +148,15 @@ class Evaluator:
         Noise by which other models are fitted first: that of K, B and I, and white noise. What K, B
         and I leave at low frequencies looks like noise of long memory, and a model that is weighed
         by it has nothing to explain there.
+    coarse : Evaluator or None
+        The same of fewer samples, by which fits of long records are begun.
     """
 
     reference: Reference
     shortlist: tuple[Contender, ...]
     joint_widths: np.ndarray
     starts: tuple[Weights, ...]
+    coarse: Evaluator | None = None
 
     @property
     def band(self) -> Band:
@@ -204,17 +209,14 @@ class Evaluator:
         problem = self.band.problem(
             model, refined=refined, scheme=scheme, probes=self.reference.probes
         )
-        best = None
-        points = np.array([problem.free_vector(values) for values in starts])
-        beginnings = Beginnings.of(problem, self.band, inside(problem, points))
-        own, white = self.starts
         also = noise.contenders[:1] if noise is not None else ()
-        for weights in (noise or own, white):
-            begun = beginnings.best(weights, _CARRIED)
-            found = self.settled(problem, begun, weights, refined, least, also)
-            if best is None or found.log_evidence > best.log_evidence:
-                best = found
-        assert best is not None
+        best = max(
+            (
+                self.settled(problem, points, weights, refined, least, also)
+                for points, weights in self._begun(problem, starts, refined, noise, resolved)
+            ),
+            key=lambda one: one.log_evidence,
+        )
         if nested is not None and best.log_likelihood < nested.log_likelihood - _MISSED:
             point = problem.free_vector(nested_values(model, nested.values))
             start = inside(problem, point[None])
@@ -229,6 +231,57 @@ class Evaluator:
         if not best.weights.estimate.rms < _DIVERGED * self.band.scale:
             raise InputError("the best response found is not finite")
         return best
+
+    def _begun(
+        self,
+        problem: Problem,
+        starts: Sequence[Mapping[str, float]],
+        refined: Sequence[str],
+        noise: Weights | None,
+        resolved: bool,
+    ) -> Iterator[tuple[np.ndarray, Weights]]:
+        """Points and noise to fit a model from: see `evaluate`."""
+        own, white = self.starts
+        points = inside(problem, np.array([problem.free_vector(values) for values in starts]))
+        # A single start that is to be resolved is where a fit of all samples ended.
+        if self.coarse is None or (resolved and len(points) == 1):
+            beginnings = Beginnings.of(problem, self.band, points)
+            for weights in (noise or own, white):
+                yield beginnings.best(weights, _CARRIED), weights
+            return
+        known = self.coarse.reference.adopted(noise or own)
+        begun = self.coarse._roughly(problem.model, starts, refined, problem.integration, known)
+        points = inside(problem, problem.free_vector(begun.values)[None])
+        # Not the noise of what is left there: more, and of another colour, than at the optimum.
+        yield points, self.reference.adopted(begun.weights)
+
+    def _roughly(
+        self,
+        model: Model,
+        starts: Sequence[Mapping[str, float]],
+        refined: Sequence[str],
+        scheme: Scheme,
+        noise: Weights,
+    ) -> Evaluated:
+        """About where a fit ends; arguments as for `evaluate`."""
+        problem = self.band.problem(
+            model, refined=refined, scheme=scheme, probes=self.reference.probes
+        )
+        points = np.array([problem.free_vector(values) for values in starts])
+        beginnings = Beginnings.of(problem, self.band, inside(problem, points))
+        ends = [
+            self.settled(
+                problem,
+                beginnings.best(weights, _CARRIED),
+                weights,
+                refined,
+                rounds=1,
+                most=1,
+                further=EVALUATIONS,
+            )
+            for weights in (noise, self.white)
+        ]
+        return max(ends, key=lambda one: one.log_evidence)
 
     @staticmethod
     def _finer(problem: Problem, found: Evaluated) -> Scheme | None:
@@ -266,31 +319,40 @@ class Evaluator:
         least: float = -np.inf,
         also: Sequence[Contender] = (),
         rounds: int = _ROUNDS,
+        most: int = _MOST_ROUNDS,
         further: int = FURTHER,
     ) -> Evaluated:
         """Model and noise fitted in turn, from given points and noise: see `evaluate`.
 
         A likelihood of noise has several optima, and what a poor fit leaves is of another colour.
         So noise is sought from where it was before and from where others `also` ended; at first
-        among plain orders, at last among all. A fit that is near its end is given no `further`
-        evaluations, and one that only begins one round.
+        among plain orders, then among all. Noise that takes a misfit for its own lets the next fit
+        be nearly as poor: both go on for as long as that brings something, `most` rounds at most. A
+        fit that is near its end is given no `further` evaluations.
         """
-        best = None
-        for orders in (*[self.plain] * (rounds - 1), self.orders):
+        best, gain = None, np.inf
+        for i in range(most):
             x = self.fitted(problem, points, weights, further)
             points = x[None]
-            tried = (*orders, *weights.contenders[:1], *also)
+            orders = self.plain if i + 1 < rounds else self.orders if i + 1 == rounds else ()
+            tried = (*orders, *weights.contenders[:1], *also * (i < rounds))
             weights = self.reference.weights(raw_residuals(problem, self.band, x)[0], tried)
             found = self.evaluated(problem, x, weights, refined, tried)
-            if best is None or found.log_evidence > best.log_evidence:
+            if best is not None:
+                gain = found.log_evidence - best.log_evidence
+            if best is None or gain > 0:
                 best = found
-            if found.log_evidence < least:
+            if found.log_evidence + _PROMISE * max(gain, 0.0) < least or (
+                i + 1 >= rounds and gain < _GAIN
+            ):
                 break
         assert best is not None
         return best
 
     def begun(self, model: Model, starts: Sequence[Mapping[str, float]]) -> Begun:
         """The best starts of a fit by least squares, the sizes of effects fitted."""
+        if self.coarse is not None:
+            return self.coarse.begun(model, starts)
         problem = self.band.problem(model, probes=self.reference.probes)
         points = np.array([problem.free_vector(values) for values in starts])
         beginnings = Beginnings.of(problem, self.band, inside(problem, points))
@@ -299,8 +361,12 @@ class Evaluator:
 
     def by_least_squares(self, begun: Begun) -> Evaluated:
         """A model as it leaves least, whatever the colour of that."""
-        x = self.fitted(begun.problem, begun.points, self.white)
-        return self.evaluated(begun.problem, x, self.white)
+        problem, points = begun.problem, begun.points
+        if self.coarse is not None:
+            points = self.coarse.fitted(problem, points, self.coarse.white)[None]
+            problem = self.band.problem(problem.model, probes=self.reference.probes)
+        x = self.fitted(problem, points, self.white)
+        return self.evaluated(problem, x, self.white)
 
     def fitted(
         self, problem: Problem, points: np.ndarray, weights: Weights, further: int = FURTHER

@@ -341,6 +341,12 @@ class Reference:
         gain = np.sqrt(excess / max(float(np.sum(drawn**2)), 1e-300))
         return replace(weights, gain=float(gain), excess=excess)
 
+    def adopted(self, weights: Weights) -> Weights:
+        """Noise that was estimated of other samples of the same trials."""
+        share = self.band.n_samples / weights.band.n_samples
+        excess = share * weights.excess
+        return replace(weights, band=self.band, excess=excess, between=self.between)
+
     def _estimated(
         self, raw: Sequence[np.ndarray], residuals: Sequence[np.ndarray], tried: Sequence[Contender]
     ) -> Weights:

@@ -24,6 +24,7 @@ from identifiability.joint.model import KBI
 
 _ROUNDS, _SETTLED = 5, 1e-3
 _ANYTHING = 0.5  # change of the inertia in one of the last two, from which it may be anything
+_COARSE = 2048  # samples of a long record by which fits are begun
 _BLINDS = 0.5  # share of what is left that is noise of the angle, where it hides the inertia
 
 
@@ -86,4 +87,15 @@ def evaluator_of(band: Band, values: Mapping[str, float], *, seed: int = 1) -> E
         )
     widths = joint_widths_of(raw, band.scale)
     white = reference.weights(raw, [Contender(Order(0, 0, angle))])
-    return Evaluator(reference, shortlist, widths, (weights, white))
+    return Evaluator(reference, shortlist, widths, (weights, white), _coarse(band, values, seed))
+
+
+def _coarse(band: Band, values: Mapping[str, float], seed: int) -> Evaluator | None:
+    """What begins the fits of a long record; nothing where that has too few pieces."""
+    fewer = replace(band, most=_COARSE)
+    if band.most == _COARSE or fewer.n_samples > 0.5 * band.n_samples:
+        return None
+    try:
+        return evaluator_of(fewer, values, seed=seed)
+    except InputError:
+        return None

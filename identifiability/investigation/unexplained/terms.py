@@ -16,7 +16,8 @@ from scipy.signal import fftconvolve
 from identifiability.investigation.unexplained.linear_gaussian import side_by_side, square_root
 from identifiability.investigation.unexplained.traces import Response
 
-_MOST_NODES = 500  # of a torque in time, over all trials
+# Of a torque in time: what one record has, or several together by what their matrices cost.
+_MOST_NODES = 240
 _TORQUE_NODES, _DRIFT_NODES, _STIFFNESS_NODES = 0.01, 0.03, 0.05  # s between nodes
 _FASTEST_DRIFT, _SLOWEST_TORQUE = 0.15, 0.15  # s; a slower torque moves the joint as a drift does
 # A muscle needs this long to change its stiffness; what changes faster goes with the motion.
@@ -184,7 +185,7 @@ class Terms:
         yield self.varying()
 
     def _spacing(self, wanted: float) -> float:
-        return max(wanted, sum(t.time[-1] for t in self.traces) / _MOST_NODES)
+        return max(wanted, float(np.cbrt(sum(t.time[-1] ** 3 for t in self.traces))) / _MOST_NODES)
 
     def _nodes(self, trace: Moving, spacing: float) -> np.ndarray:
         return np.arange(0.0, trace.time[-1] + spacing, spacing)
