@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from constructed import probabilities
-from hidden import HELD, JOINT, TIME, record_that_grows, trials
+from hidden import CONDITIONS, HELD, JOINT, TIME, record_that_grows, trials
 
 from identifiability.benchmark.score import matched, wilson
 from identifiability.cli import investigate as command
@@ -180,8 +180,13 @@ SMALL = {k: EFFECTS[k] for k in ("cubic_stiffness", "quadratic_stiffness", "sens
 CUBIC = JOINT | {"cubic_stiffness.coefficient": 120.0, "cubic_stiffness.centre": 0.0}
 
 
-def study_of(model, values, library, **options):
-    fitted, held = trials(model, values), trials(model, values, seed=9, conditions=HELD)
+ALL, FEW = (CONDITIONS, HELD), (CONDITIONS[::3], HELD[:1])
+
+
+def study_of(model, values, library, some=ALL, **options):
+    fitted, held = (
+        trials(model, values, s, conditions=c) for s, c in zip((1, 9), some, strict=True)
+    )
     return Investigation(fitted, held, library=library, **options)
 
 
@@ -304,13 +309,13 @@ def test_a_convention_can_be_changed():
 def test_a_users_own_effect_competes_with_the_others():
     model = KBI() + LateSpring()
     library = {"quadratic_stiffness": SMALL["quadratic_stiffness"], LateSpring.key: LateSpring}
-    study = study_of(model, JOINT | {"late_spring.stiffness": 12.0}, library)
+    study = study_of(model, JOINT | {"late_spring.stiffness": 12.0}, library, FEW)
     assert study.claim(study.weigh()).sets == (("late_spring",),)
 
 
 def test_what_the_library_does_not_know_is_not_named():
     library = {"sensor_delay": EFFECTS["sensor_delay"]}
-    study = study_of(KBI() + LateSpring(), JOINT | {"late_spring.stiffness": 12.0}, library)
+    study = study_of(KBI() + LateSpring(), JOINT | {"late_spring.stiffness": 12.0}, library, FEW)
     found = study.weigh()
     assert study.claim(found).kind == "unknown"
     assert found.none_of_these > 0.95
@@ -385,10 +390,10 @@ def test_the_command_finds_a_hidden_effect(tmp_path, capsys):
     hidden = KBI() + EFFECTS["series_tendon"]()
     folder = tmp_path / "trials"
     folder.mkdir()
-    for trial in trials(hidden, values):
+    for trial in trials(hidden, values, conditions=CONDITIONS[::3]):
         write(folder, trial)
     held = []
-    for trial in trials(hidden, values, seed=9, conditions=HELD):
+    for trial in trials(hidden, values, seed=9, conditions=HELD[:1]):
         held += ["--hold-out", str(write(tmp_path, replace(trial, name=f"held_{trial.name}")))]
     out = tmp_path / "out"
     code = main(["investigate", str(folder), *held, "--no-widths", "--out", str(out)])

@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 import pytest
+from constructed import probabilities
 from hidden import JOINT, PAIR, study_of_a_pair
 
 from identifiability.errors import InputError
@@ -140,15 +141,14 @@ def test_what_cannot_be_integrated_has_no_evidence(monkeypatch):
 @pytest.mark.parametrize("driven", ["torque", "angle"])
 def test_what_every_likely_set_has_need_not_have_been_weighed_by_itself(driven):
     """What is sure whatever else is missing may be a set that no search came by."""
-    pair = ("cubic_stiffness", "sensor_delay")
+    pair, three = ("cubic_stiffness", "sensor_delay"), tuple(sorted(KEYS))
     study = study_of_a_pair(driven, pair)
-    posterior = study.weigh()
-    sets = {keys: one for keys, one in posterior.sets.items() if keys != pair}
-    model = posterior.sets[pair].candidate.model + EFFECTS["second_mass"]()
-    values = nested_values(model, posterior.sets[pair].candidate.values)
-    sets[tuple(sorted(KEYS))] = replace(posterior.sets[pair], candidate=unfitted(model, values))
+    made_up = probabilities((three, 1.0))
+    model = made_up.sets[three].candidate.model
+    larger = replace(made_up.sets[three], candidate=unfitted(model, nested_values(model, PAIR)))
+    posterior = replace(made_up, sets={**made_up.sets, three: larger})
     claim = Claim("unknown", pair, (), 1.0)
-    found = found_of(study.bench, study.baseline, replace(posterior, sets=sets), claim, LIBRARY)
+    found = found_of(study.bench, study.baseline, posterior, claim, LIBRARY)
     assert not found.failure
     assert found.final.keys == pair
     assert sorted(one.key for one in found.missing) == sorted(pair)
