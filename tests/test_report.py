@@ -18,16 +18,19 @@ from identifiability.investigation.record import investigation_record
 from identifiability.investigation.rules import Rules
 from identifiability.investigation.session import Investigation
 from identifiability.investigation.verdict.pinned import not_pinned_down
+from identifiability.investigation.wording.numbers import error_text, measured, times
 from identifiability.investigation.wording.pinned import loose_sentence
 from identifiability.joint.effects import EFFECTS
 from identifiability.joint.model import KBI
-from identifiability.plots.investigation import alone_figure, error_text, widths_figure
+from identifiability.numerals import range_text
+from identifiability.plots.investigation import alone_figure, widths_figure
+from identifiability.plots.style import PRINTED_AS
 from identifiability.report.investigation import (
-    _tried_row,
     investigation_text,
     write_investigation,
     write_report,
 )
+from identifiability.report.ranking import tried_row
 
 QUADRATIC = EFFECTS["quadratic_stiffness"].parameters
 SMALL = {k: EFFECTS[k] for k in ("quadratic_stiffness", "cubic_stiffness")}
@@ -136,7 +139,47 @@ def test_what_is_said_of_a_parameter_that_is_not_pinned_down(optimum, interval, 
 def test_a_prediction_that_explodes_is_called_so():
     assert error_text(0.01234) == "0.0123"
     assert error_text(0.01234, 2) == "0.012"
+    assert error_text(1.23e-5) == "1.23 × 10⁻⁵"
     assert error_text(1e197) == error_text(np.inf) == "diverges"
+
+
+@pytest.mark.parametrize(
+    ("value", "sd", "at_bound", "said"),
+    [
+        (31.98, 0.034, False, "31.980 ± 0.034 Nm/rad"),
+        (31.98, 0.34, False, "31.98 ± 0.34 Nm/rad"),
+        (30.0001, 0.0019, False, "30.00 Nm/rad ± 0.006 %"),
+        (1.2345e-5, 2.1e-6, False, "(1.23 ± 0.21) × 10⁻⁵ Nm/rad"),
+        (2.5e6, 3e5, False, "(2.50 ± 0.30) × 10⁶ Nm/rad"),
+        (12.3456, None, False, "12.35 Nm/rad"),
+        (1.915e-12, None, False, "0 Nm/rad"),
+        (1.915e-12, None, True, "0 Nm/rad (at its bound)"),
+        (2000.0, None, True, "2000 Nm/rad (at its bound)"),
+    ],
+)
+def test_a_value_has_the_digits_that_mean_something(value, sd, at_bound, said):
+    assert measured(value, sd, KBI().parameters["K"], at_bound=at_bound) == said
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "said"),
+    [
+        (29.9989, 30.0036, "29.9989 to 30.0036"),
+        (1.0, 30.0, "1 to 30"),
+        (1.1e-6, 2.3e-6, "1.1 × 10⁻⁶ to 2.3 × 10⁻⁶"),
+        (0.0, 0.0, "0 to 0"),
+        (-np.inf, 2.0, "unknown to 2"),
+    ],
+)
+def test_the_ends_of_a_range_are_told_apart(low, high, said):
+    assert range_text(low, high) == said
+
+
+@pytest.mark.parametrize(
+    ("nats", "said"), [(0.0, "1"), (3.0, "20"), (-3.0, "0.05"), (46.05, "10²⁰"), (-46.05, "10⁻²⁰")]
+)
+def test_evidence_is_said_as_odds(nats, said):
+    assert times(nats) == said
 
 
 def test_every_effect_lies_within_the_axes(quiet_study):
@@ -214,18 +257,18 @@ def test_a_failed_candidate_is_shown_and_does_not_stop_the_rest(tmp_path):
     page = (tmp_path / "report.html").read_text()
     assert "could not be drawn" not in page
     assert "no fit" in page
-    for heading in (
-        "Data and model",
-        "Where the baseline fails",
-        "Which effect is missing",
-        "Error ladder",
-        "Unexplained torque",
+    headings = re.findall("<h2>(.*?)</h2>", page)
+    assert headings == [
+        "Why",
+        "The error on data that were not fitted",
+        "The torque that is missing",
+        "Where K, B and I fail",
+        "What may be missing, by probability",
         "Parameters and their widths",
-        "Next experiment",
         "How this was computed",
-    ):
-        assert heading in page
-    assert page.count("data:image/png;base64,") == len(figures)
+    ]
+    assert page.count("data:image/svg+xml;base64,") * len(PRINTED_AS) == len(figures)
+    assert all((tmp_path / name).stat().st_size for name in figures)
     # Nothing is fetched from elsewhere.
     assert not re.search(r'(src|href)="(?!data:|#)', page)
 
@@ -242,7 +285,7 @@ def test_a_part_that_fails_is_told_and_takes_no_other_with_it(tmp_path, monkeypa
     assert findings.comparison is None
     assert findings.location is not None
     written = write_investigation(findings, tmp_path, command="")
-    assert "comparison.png" not in written
+    assert not [name for name in written if "comparison" in name]
     record = json.loads((tmp_path / "investigation.json").read_text())
     assert record["failures"] == findings.failures
     assert (tmp_path / "report.html").read_text().count("the trials are of no use") == 2
@@ -255,9 +298,9 @@ def test_a_number_without_unit_keeps_its_digits(quiet_study):
     model = KBI() + EFFECTS["nonlinear_tendon"]()
     own = dict(zip(model.parameter_names[3:], (150.0, 11.0, 0.51, 4.2, 0.3), strict=True))
     found = replace(base, model=model, values=JOINT | own, free=model.parameter_names)
-    row = _tried_row(Tried("nonlinear_tendon", found, 12.0, 0.1, 0.5))
-    assert row[1] == "physics"
-    assert row[4] == (
+    row = tried_row(Tried("nonlinear_tendon", found, 12.0, 0.1, 0.5), 0.7)
+    assert row[1:4] == ["physics", "70 %", "10⁵"]
+    assert row[-1] == (
         "stiffness 150 Nm/rad, hardening 11 1/rad, asymmetry 0.51, bypass stiffness 4.2 Nm/rad, "
         "bypass damping 0.3 Nms/rad"
     )
