@@ -7,13 +7,19 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from browser import measured as measured_in_browser
 from hidden import HELD, JOINT, trials
 
 from identifiability.files import plain
 from identifiability.investigation.fits.candidate import NOTHING, Candidate
 from identifiability.investigation.investigate import investigate
 from identifiability.investigation.ladder.found import Found, Tried
-from identifiability.investigation.next_experiment import Limits, next_experiment
+from identifiability.investigation.next_experiment import (
+    Design,
+    Limits,
+    NextExperiment,
+    next_experiment,
+)
 from identifiability.investigation.record import investigation_record
 from identifiability.investigation.rules import Rules
 from identifiability.investigation.session import Investigation
@@ -24,12 +30,13 @@ from identifiability.joint.effects import EFFECTS
 from identifiability.joint.model import KBI
 from identifiability.numerals import range_text
 from identifiability.plots.investigation import alone_figure, widths_figure
-from identifiability.plots.style import PRINTED_AS
+from identifiability.plots.style import COLUMN, PAGE, PRINTED_AS
 from identifiability.report.investigation import (
     investigation_text,
     write_investigation,
     write_report,
 )
+from identifiability.report.page import Page
 from identifiability.report.ranking import tried_row
 
 QUADRATIC = EFFECTS["quadratic_stiffness"].parameters
@@ -222,7 +229,10 @@ def test_pulses_shorter_than_the_sampling_interval_are_not_proposed(quiet_study)
     assert "pulse of 5 ms" not in words
 
 
-def test_a_failed_candidate_is_shown_and_does_not_stop_the_rest(tmp_path):
+@pytest.fixture(scope="module")
+def explained():
+    """Findings of a joint with a cubic spring, by a library in which one effect explodes."""
+
     class Explosive(EFFECTS["cubic_stiffness"]):
         key = "explosive"
 
@@ -231,12 +241,55 @@ def test_a_failed_candidate_is_shown_and_does_not_stop_the_rest(tmp_path):
 
     model = KBI() + EFFECTS["cubic_stiffness"]()
     values = JOINT | {"cubic_stiffness.coefficient": 120.0, "cubic_stiffness.centre": 0.0}
-    findings = investigate(
-        trials(model, values),
-        trials(model, values, seed=9, conditions=HELD),
-        library=SMALL | {"explosive": Explosive},
-        seed=3,
+    fitted, held_out = (
+        [replace(t, name=f"elbow_of_subject_07_{part}_{t.name}") for t in several]
+        for part, several in (
+            ("run", trials(model, values)),
+            ("other", trials(model, values, seed=9, conditions=HELD)),
+        )
     )
+    return investigate(fitted, held_out, library=SMALL | {"explosive": Explosive}, seed=3)
+
+
+@pytest.fixture(scope="module", params=["one_of", "unknown_static"])
+def reported(request, explained, tmp_path_factory):
+    """The same as two kinds of verdict: folder, findings, record, and the figures' names."""
+    findings, kind = explained, request.param
+    found = findings.found
+    if kind == "one_of":
+        key = "quadratic_stiffness"
+        model = KBI() + EFFECTS[key]()
+        other = replace(
+            found.baseline,
+            model=model,
+            values=dict(zip(model.parameter_names, model.nominal, strict=True)),
+            free=model.parameter_names,
+        )
+        missing = replace(found.missing[0], could_be=(found.missing[0].key, key), instead=(other,))
+        verdict = replace(findings.verdict, kind=kind, sets=(missing.could_be,))
+        best = Design("a step with a torque of 4 Nm", 4.0, 0.2, 4.0, 33.0)
+        following = NextExperiment(missing.could_be, best, (), Limits(8.0, 0.3, 0.5), 20.0)
+        findings = replace(
+            findings,
+            found=replace(found, missing=(missing,)),
+            verdict=verdict,
+            next_experiment=following,
+        )
+    if kind == "unknown_static":
+        findings = replace(
+            findings,
+            found=replace(found, missing=(), final=found.baseline),
+            verdict=replace(findings.verdict, kind=kind, sets=()),
+            unexplained_after=findings.unexplained_before,
+        )
+    folder = tmp_path_factory.mktemp(kind)
+    record = investigation_record(findings, command="identifiability investigate trials")
+    figures = write_report(findings, record, folder)
+    return SimpleNamespace(folder=folder, findings=findings, record=record, figures=figures)
+
+
+def test_a_failed_candidate_is_shown_and_does_not_stop_the_rest(explained):
+    findings = explained
     assert findings.warnings == ()
     assert findings.verdict.kind == "explained"
     assert findings.verdict.effects == ("cubic_stiffness",)
@@ -253,24 +306,92 @@ def test_a_failed_candidate_is_shown_and_does_not_stop_the_rest(tmp_path):
     assert all(f"quadratic_stiffness.{p.name}" in rivals[0]["parameters"] for p in QUADRATIC)
     assert record["comparison"]
     assert record["location"]
-    figures = write_report(findings, record, tmp_path)
-    page = (tmp_path / "report.html").read_text()
+
+
+def test_a_report_holds_what_its_verdict_needs(reported):
+    page = (reported.folder / "report.html").read_text()
+    kind = reported.findings.verdict.kind
     assert "could not be drawn" not in page
     assert "no fit" in page
-    headings = re.findall("<h2>(.*?)</h2>", page)
-    assert headings == [
+    assert re.findall("<h2>(.*?)</h2>", page) == [
         "Why",
         "The error on data that were not fitted",
         "The torque that is missing",
         "Where K, B and I fail",
         "What may be missing, by probability",
         "Parameters and their widths",
+        *(["Next experiment"] if kind == "one_of" else []),
         "How this was computed",
     ]
-    assert page.count("data:image/svg+xml;base64,") * len(PRINTED_AS) == len(figures)
-    assert all((tmp_path / name).stat().st_size for name in figures)
-    # Nothing is fetched from elsewhere.
+    # Nothing is fetched from elsewhere, and every figure is there in all formats.
     assert not re.search(r'(src|href)="(?!data:|#)', page)
+    assert page.count("data:image/svg+xml;base64,") * len(PRINTED_AS) == len(reported.figures)
+    assert all((reported.folder / name).stat().st_size for name in reported.figures)
+    names = {name.rpartition("/")[2].partition(".")[0] for name in reported.figures}
+    assert ("rivals_cubic_stiffness_quadratic_stiffness" in names) == (kind == "one_of")
+    # Of an unknown effect the best picture comes before all reasons.
+    above = page[: page.index("<h2>")]
+    assert ("<figure" in above) == (kind == "unknown_static")
+    # Keys and numbers are for programs.
+    for text in re.findall(r"<(?:td|th|p|li)[^>]*>(.*?)</", page):
+        assert not re.search(r"\d[eE][-+]\d", text), text
+        assert not any(key in text for key in EFFECTS if "_" in key), text
+
+
+def test_figures_are_as_wide_as_a_journal_prints_them_and_their_letters_can_be_read(reported):
+    for name in reported.figures:
+        if not name.endswith(".svg"):
+            continue
+        drawn = (reported.folder / name).read_text()
+        width = float(re.search(r'<svg [^>]*width="([\d.]+)pt"', drawn)[1]) / 72
+        assert any(width == pytest.approx(one, abs=0.01) for one in (COLUMN, PAGE)), name
+        # Letters are paths, a hundred units high.
+        sizes = [100 * float(size) for size in re.findall(r"scale\(([\d.]+) -[\d.]+\)", drawn)]
+        assert min(sizes) >= 7, name
+
+
+def test_a_browser_lays_a_report_out_whole(reported, tmp_path):
+    drawings = [reported.folder / name for name in reported.figures if name.endswith(".svg")]
+    page = reported.folder / "report.html"
+    found = measured_in_browser(page, drawings, tmp_path, widths=(400, 800, 1280))
+    assert [one["width"] for one in found["pages"]] == [400, 800, 1280]
+    for one in found["pages"]:
+        assert not one["scrolls"], one["width"]
+        assert one["outside"] == []
+        assert one["overlapping"] == []
+        assert len(one["figures"]) == len(drawings)
+        for figure in one["figures"]:
+            assert figure["drawn"]
+            assert len(figure["caption"]) > 30
+            assert len(figure["alt"]) > 20
+            assert figure["alt"] not in figure["caption"]
+    for one in found["drawings"]:
+        assert one["n_texts"] > 3, one["name"]
+        assert one["overlapping"] == [], one["name"]
+        assert one["cut"] == [], one["name"]
+
+
+def test_the_browser_sees_what_is_wrong(tmp_path):
+    page = Page("a" * 300)
+    page.paragraph("first")
+    worse = "h1 { overflow-wrap: normal; } p { margin-top: -1.5rem; }</style>"
+    (tmp_path / "page.html").write_text(page.render().replace("</style>", worse))
+    texts = "".join(
+        f'<g id="text_{name}"><!-- {name} --><g transform="translate({x} 20)">'
+        '<path d="M0 0h30v9h-30z"/></g></g>'
+        for name, x in (("a", 10), ("b", 30), ("c", 80))
+    )
+    (tmp_path / "bad.svg").write_text(f'<svg width="100" height="50">{texts}</svg>')
+    found = measured_in_browser(
+        tmp_path / "page.html", [tmp_path / "bad.svg"], tmp_path, widths=(400,), dark=True
+    )
+    (shown,), (drawing,) = found["pages"], found["drawings"]
+    assert shown["scrolls"]
+    assert shown["outside"]
+    assert shown["overlapping"]
+    assert shown["background"] == "rgb(22, 25, 29)"
+    assert drawing["overlapping"] == ["a | b"]
+    assert drawing["cut"] == ["c"]
 
 
 @pytest.mark.usefixtures("no_smallest_effects")

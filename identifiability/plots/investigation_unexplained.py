@@ -122,7 +122,7 @@ def _kernel(axes: Axes, kernel: MemoryKernel) -> None:
     axes.axhline(0, color=GREY, lw=0.8)
     axes.set_xlabel("time after a step of angle [ms]")
     axes.set_ylabel("torque / angle [Nm/rad], 95 %")
-    axes.set_title("memory of the missing torque", loc="left")
+    axes.set_title("its memory", loc="left")
 
 
 def _map(axes: Axes, static: StaticMap) -> None:

@@ -90,8 +90,10 @@ def printed(draw: Callable[P, Figure]) -> Callable[P, Figure]:
     def drawn(*args: P.args, **kwargs: P.kwargs) -> Figure:
         with mpl.rc_context(_STYLE | _PRINT):
             figure = draw(*args, **kwargs)
-            # Ticks are made while drawing, and the layout, which takes the longest, is kept.
-            figure.draw_without_rendering()
+            # Ticks are made while drawing, and others where the layout has changed the room for
+            # them; after that it is kept, being what takes the longest.
+            for _ in range(2):
+                figure.draw_without_rendering()
             figure.set_layout_engine("none")
         return figure
 

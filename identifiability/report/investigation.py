@@ -406,7 +406,7 @@ def _widths_table(page: Page, found: Widths) -> None:
         rows,
         text_columns=(0, 1, 6, 7),
     )
-    page.items([f"{words.plain(row.name)}: {row.reason}." for row in found.rows])
+    page.items([f"{row.reason.replace(row.name, words.plain(row.name))}." for row in found.rows])
 
 
 def _interval(row: Width) -> str:

@@ -16,6 +16,7 @@ SHOWN = 0.005
 """Probability from which a set is listed."""
 
 _SEEN = 1e-3  # share of the response from which a torque without a name is spoken of
+_VISIBLE = 2.3  # log evidence [nats], ten times, from which a bar is to be seen
 _OTHERS = 4  # in the place of an effect that are listed
 
 
@@ -49,15 +50,16 @@ def ranking(page: Page, figures: Figures, findings: Findings) -> None:
         sorted(found.alone, key=lambda one: (bool(one.failure), -present[one.key], -one.evidence))
     )
     named = {key for names in findings.verdict.sets for key in names}
-    figures.show(
-        "ranking",
-        lambda: alone_figure(replace(found, alone=ordered), named, present),
-        "Effects by the probability that they are there, whatever else is, which decides. Bars: by "
-        "how much each alone makes the trials more probable. Alone, what is a poor picture of two "
-        "effects may be left behind by both.",
-        "Bars of all effects that were tried; the most probable is "
-        f"{words.plain(ordered[0].key)}, with {words.percent(present[ordered[0].key])}.",
-    )
+    if any(one.evidence > _VISIBLE for one in ordered):
+        figures.show(
+            "ranking",
+            lambda: alone_figure(replace(found, alone=ordered), named, present),
+            "Effects by the probability that they are there, whatever else is, which decides. "
+            "Bars: by how much each alone makes the trials more probable. Alone, what is a poor "
+            "picture of two effects may be left behind by both.",
+            "Bars of all effects that were tried; the most probable is "
+            f"{words.plain(ordered[0].key)}, with {words.percent(present[ordered[0].key])}.",
+        )
     page.table(
         ["effect", "kind", "it is there", "alone: times as probable", "alone leaves", "parameters"],
         [tried_row(one, present[one.key]) for one in ordered],
