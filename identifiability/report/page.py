@@ -38,6 +38,10 @@ figure.column img { max-width: 28rem; }
 figure.page img { max-width: 60rem; }
 figcaption { color: var(--quiet); font-size: .93rem; max-width: 46rem; margin-top: .3rem; }
 code { background: var(--stress); padding: .1rem .3rem; overflow-wrap: anywhere; }
+@media screen and (max-width: 960px) {
+  table { font-size: .8rem; }
+  th, td { padding: .25rem .3rem; }
+}
 @media screen and (max-width: 640px) {
   body { padding: .8rem; }
   figure.page img { min-width: 37rem; }
