@@ -14,7 +14,7 @@ PACKAGE = "identifiability"
 # other.
 LAYERS = (
     ("errors",),
-    ("files", "loops", "progress", "provenance", "palette"),
+    ("files", "loops", "numerals", "progress", "provenance", "palette"),
     ("sweep",),
     ("measurement",),
     ("joint",),

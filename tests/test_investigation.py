@@ -412,7 +412,7 @@ def test_the_command_finds_a_hidden_effect(tmp_path, capsys):
     page = (out / "report.html").read_text()
     assert verdict["sentence"][:40] in page
     assert "http://" not in page.replace("http://www.w3.org", "")
-    assert 'src="data:image/png' in page
+    assert 'src="data:image/svg+xml' in page
     assert verdict["sentence"] in capsys.readouterr().out
 
 

@@ -7,27 +7,37 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from browser import measured as measured_in_browser
 from hidden import CONDITIONS, HELD, JOINT, trials
 
 from identifiability.files import plain
 from identifiability.investigation.fits.candidate import NOTHING, Candidate
 from identifiability.investigation.investigate import investigate
 from identifiability.investigation.ladder.found import Found, Tried
-from identifiability.investigation.next_experiment import Limits, next_experiment
+from identifiability.investigation.next_experiment import (
+    Design,
+    Limits,
+    NextExperiment,
+    next_experiment,
+)
 from identifiability.investigation.record import investigation_record
 from identifiability.investigation.rules import Rules
 from identifiability.investigation.session import Investigation
 from identifiability.investigation.verdict.pinned import not_pinned_down
+from identifiability.investigation.wording.numbers import error_text, measured, times
 from identifiability.investigation.wording.pinned import loose_sentence
 from identifiability.joint.effects import EFFECTS
 from identifiability.joint.model import KBI
-from identifiability.plots.investigation import alone_figure, error_text, widths_figure
+from identifiability.numerals import range_text
+from identifiability.plots.investigation import alone_figure, widths_figure
+from identifiability.plots.style import COLUMN, PAGE, PRINTED_AS
 from identifiability.report.investigation import (
-    _tried_row,
     investigation_text,
     write_investigation,
     write_report,
 )
+from identifiability.report.page import Page
+from identifiability.report.ranking import tried_row
 
 QUADRATIC = EFFECTS["quadratic_stiffness"].parameters
 SMALL = {k: EFFECTS[k] for k in ("quadratic_stiffness", "cubic_stiffness")}
@@ -137,7 +147,47 @@ def test_what_is_said_of_a_parameter_that_is_not_pinned_down(optimum, interval, 
 def test_a_prediction_that_explodes_is_called_so():
     assert error_text(0.01234) == "0.0123"
     assert error_text(0.01234, 2) == "0.012"
+    assert error_text(1.23e-5) == "1.23 × 10⁻⁵"
     assert error_text(1e197) == error_text(np.inf) == "diverges"
+
+
+@pytest.mark.parametrize(
+    ("value", "sd", "at_bound", "said"),
+    [
+        (31.98, 0.034, False, "31.980 ± 0.034 Nm/rad"),
+        (31.98, 0.34, False, "31.98 ± 0.34 Nm/rad"),
+        (30.0001, 0.0019, False, "30.00 Nm/rad ± 0.006 %"),
+        (1.2345e-5, 2.1e-6, False, "(1.23 ± 0.21) × 10⁻⁵ Nm/rad"),
+        (2.5e6, 3e5, False, "(2.50 ± 0.30) × 10⁶ Nm/rad"),
+        (12.3456, None, False, "12.35 Nm/rad"),
+        (1.915e-12, None, False, "0 Nm/rad"),
+        (1.915e-12, None, True, "0 Nm/rad (at its bound)"),
+        (2000.0, None, True, "2000 Nm/rad (at its bound)"),
+    ],
+)
+def test_a_value_has_the_digits_that_mean_something(value, sd, at_bound, said):
+    assert measured(value, sd, KBI().parameters["K"], at_bound=at_bound) == said
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "said"),
+    [
+        (29.9989, 30.0036, "29.9989 to 30.0036"),
+        (1.0, 30.0, "1 to 30"),
+        (1.1e-6, 2.3e-6, "1.1 × 10⁻⁶ to 2.3 × 10⁻⁶"),
+        (0.0, 0.0, "0 to 0"),
+        (-np.inf, 2.0, "unknown to 2"),
+    ],
+)
+def test_the_ends_of_a_range_are_told_apart(low, high, said):
+    assert range_text(low, high) == said
+
+
+@pytest.mark.parametrize(
+    ("nats", "said"), [(0.0, "1"), (3.0, "20"), (-3.0, "0.05"), (46.05, "10²⁰"), (-46.05, "10⁻²⁰")]
+)
+def test_evidence_is_said_as_odds(nats, said):
+    assert times(nats) == said
 
 
 def test_every_effect_lies_within_the_axes(quiet_study):
@@ -180,7 +230,10 @@ def test_pulses_shorter_than_the_sampling_interval_are_not_proposed(quiet_study)
     assert "pulse of 5 ms" not in words
 
 
-def test_a_failed_candidate_is_shown_and_does_not_stop_the_rest(tmp_path):
+@pytest.fixture(scope="module")
+def explained():
+    """Findings of a joint with a cubic spring, by a library in which one effect explodes."""
+
     class Explosive(EFFECTS["cubic_stiffness"]):
         key = "explosive"
 
@@ -189,12 +242,55 @@ def test_a_failed_candidate_is_shown_and_does_not_stop_the_rest(tmp_path):
 
     model = KBI() + EFFECTS["cubic_stiffness"]()
     values = JOINT | {"cubic_stiffness.coefficient": 120.0, "cubic_stiffness.centre": 0.0}
-    findings = investigate(
-        trials(model, values, conditions=FEW),
-        trials(model, values, seed=9, conditions=HELD[:1]),
-        library=SMALL | {"explosive": Explosive},
-        seed=3,
+    fitted, held_out = (
+        [replace(t, name=f"elbow_of_subject_07_{part}_{t.name}") for t in several]
+        for part, several in (
+            ("run", trials(model, values, conditions=FEW)),
+            ("other", trials(model, values, seed=9, conditions=HELD[:1])),
+        )
     )
+    return investigate(fitted, held_out, library=SMALL | {"explosive": Explosive}, seed=3)
+
+
+@pytest.fixture(scope="module", params=["one_of", "unknown_static"])
+def reported(request, explained, tmp_path_factory):
+    """The same as two kinds of verdict: folder, findings, record, and the figures' names."""
+    findings, kind = explained, request.param
+    found = findings.found
+    if kind == "one_of":
+        key = "quadratic_stiffness"
+        model = KBI() + EFFECTS[key]()
+        other = replace(
+            found.baseline,
+            model=model,
+            values=dict(zip(model.parameter_names, model.nominal, strict=True)),
+            free=model.parameter_names,
+        )
+        missing = replace(found.missing[0], could_be=(found.missing[0].key, key), instead=(other,))
+        verdict = replace(findings.verdict, kind=kind, sets=(missing.could_be,))
+        best = Design("a step with a torque of 4 Nm", 4.0, 0.2, 4.0, 33.0)
+        following = NextExperiment(missing.could_be, best, (), Limits(8.0, 0.3, 0.5), 20.0)
+        findings = replace(
+            findings,
+            found=replace(found, missing=(missing,)),
+            verdict=verdict,
+            next_experiment=following,
+        )
+    if kind == "unknown_static":
+        findings = replace(
+            findings,
+            found=replace(found, missing=(), final=found.baseline),
+            verdict=replace(findings.verdict, kind=kind, sets=()),
+            unexplained_after=findings.unexplained_before,
+        )
+    folder = tmp_path_factory.mktemp(kind)
+    record = investigation_record(findings, command="identifiability investigate trials")
+    figures = write_report(findings, record, folder)
+    return SimpleNamespace(folder=folder, findings=findings, record=record, figures=figures)
+
+
+def test_a_failed_candidate_is_shown_and_does_not_stop_the_rest(explained):
+    findings = explained
     assert findings.warnings == ()
     assert findings.verdict.kind == "explained"
     assert findings.verdict.effects == ("cubic_stiffness",)
@@ -211,24 +307,92 @@ def test_a_failed_candidate_is_shown_and_does_not_stop_the_rest(tmp_path):
     assert all(f"quadratic_stiffness.{p.name}" in rivals[0]["parameters"] for p in QUADRATIC)
     assert record["comparison"]
     assert record["location"]
-    figures = write_report(findings, record, tmp_path)
-    page = (tmp_path / "report.html").read_text()
+
+
+def test_a_report_holds_what_its_verdict_needs(reported):
+    page = (reported.folder / "report.html").read_text()
+    kind = reported.findings.verdict.kind
     assert "could not be drawn" not in page
     assert "no fit" in page
-    for heading in (
-        "Data and model",
-        "Where the baseline fails",
-        "Which effect is missing",
-        "Error ladder",
-        "Unexplained torque",
+    assert re.findall("<h2>(.*?)</h2>", page) == [
+        "Why",
+        "The error on data that were not fitted",
+        "The torque that is missing",
+        "Where K, B and I fail",
+        "What may be missing, by probability",
         "Parameters and their widths",
-        "Next experiment",
+        *(["Next experiment"] if kind == "one_of" else []),
         "How this was computed",
-    ):
-        assert heading in page
-    assert page.count("data:image/png;base64,") == len(figures)
-    # Nothing is fetched from elsewhere.
+    ]
+    # Nothing is fetched from elsewhere, and every figure is there in all formats.
     assert not re.search(r'(src|href)="(?!data:|#)', page)
+    assert page.count("data:image/svg+xml;base64,") * len(PRINTED_AS) == len(reported.figures)
+    assert all((reported.folder / name).stat().st_size for name in reported.figures)
+    names = {name.rpartition("/")[2].partition(".")[0] for name in reported.figures}
+    assert ("rivals_cubic_stiffness_quadratic_stiffness" in names) == (kind == "one_of")
+    # Of an unknown effect the best picture comes before all reasons.
+    above = page[: page.index("<h2>")]
+    assert ("<figure" in above) == (kind == "unknown_static")
+    # Keys and numbers are for programs.
+    for text in re.findall(r"<(?:td|th|p|li)[^>]*>(.*?)</", page):
+        assert not re.search(r"\d[eE][-+]\d", text), text
+        assert not any(key in text for key in EFFECTS if "_" in key), text
+
+
+def test_figures_are_as_wide_as_a_journal_prints_them_and_their_letters_can_be_read(reported):
+    for name in reported.figures:
+        if not name.endswith(".svg"):
+            continue
+        drawn = (reported.folder / name).read_text()
+        width = float(re.search(r'<svg [^>]*width="([\d.]+)pt"', drawn)[1]) / 72
+        assert any(width == pytest.approx(one, abs=0.01) for one in (COLUMN, PAGE)), name
+        # Letters are paths, a hundred units high.
+        sizes = [100 * float(size) for size in re.findall(r"scale\(([\d.]+) -[\d.]+\)", drawn)]
+        assert min(sizes) >= 7, name
+
+
+def test_a_browser_lays_a_report_out_whole(reported, tmp_path):
+    drawings = [reported.folder / name for name in reported.figures if name.endswith(".svg")]
+    page = reported.folder / "report.html"
+    found = measured_in_browser(page, drawings, tmp_path, widths=(400, 800, 1280))
+    assert [one["width"] for one in found["pages"]] == [400, 800, 1280]
+    for one in found["pages"]:
+        assert not one["scrolls"], one["width"]
+        assert one["outside"] == []
+        assert one["overlapping"] == []
+        assert len(one["figures"]) == len(drawings)
+        for figure in one["figures"]:
+            assert figure["drawn"]
+            assert len(figure["caption"]) > 30
+            assert len(figure["alt"]) > 20
+            assert figure["alt"] not in figure["caption"]
+    for one in found["drawings"]:
+        assert one["n_texts"] > 3, one["name"]
+        assert one["overlapping"] == [], one["name"]
+        assert one["cut"] == [], one["name"]
+
+
+def test_the_browser_sees_what_is_wrong(tmp_path):
+    page = Page("a" * 300)
+    page.paragraph("first")
+    worse = "h1 { overflow-wrap: normal; } p { margin-top: -1.5rem; }</style>"
+    (tmp_path / "page.html").write_text(page.render().replace("</style>", worse))
+    texts = "".join(
+        f'<g id="text_{name}"><!-- {name} --><g transform="translate({x} 20)">'
+        '<path d="M0 0h30v9h-30z"/></g></g>'
+        for name, x in (("a", 10), ("b", 30), ("c", 80))
+    )
+    (tmp_path / "bad.svg").write_text(f'<svg width="100" height="50">{texts}</svg>')
+    found = measured_in_browser(
+        tmp_path / "page.html", [tmp_path / "bad.svg"], tmp_path, widths=(400,), dark=True
+    )
+    (shown,), (drawing,) = found["pages"], found["drawings"]
+    assert shown["scrolls"]
+    assert shown["outside"]
+    assert shown["overlapping"]
+    assert shown["background"] == "rgb(22, 25, 29)"
+    assert drawing["overlapping"] == ["a | b"]
+    assert drawing["cut"] == ["c"]
 
 
 @pytest.mark.usefixtures("no_smallest_effects")
@@ -244,7 +408,7 @@ def test_a_part_that_fails_is_told_and_takes_no_other_with_it(tmp_path, monkeypa
     assert findings.comparison is None
     assert findings.location is not None
     written = write_investigation(findings, tmp_path, command="")
-    assert "comparison.png" not in written
+    assert not [name for name in written if "comparison" in name]
     record = json.loads((tmp_path / "investigation.json").read_text())
     assert record["failures"] == findings.failures
     assert (tmp_path / "report.html").read_text().count("the trials are of no use") == 2
@@ -257,9 +421,9 @@ def test_a_number_without_unit_keeps_its_digits(quiet_study):
     model = KBI() + EFFECTS["nonlinear_tendon"]()
     own = dict(zip(model.parameter_names[3:], (150.0, 11.0, 0.51, 4.2, 0.3), strict=True))
     found = replace(base, model=model, values=JOINT | own, free=model.parameter_names)
-    row = _tried_row(Tried("nonlinear_tendon", found, 12.0, 0.1, 0.5))
-    assert row[1] == "physics"
-    assert row[4] == (
+    row = tried_row(Tried("nonlinear_tendon", found, 12.0, 0.1, 0.5), 0.7)
+    assert row[1:4] == ["physics", "70 %", "10⁵"]
+    assert row[-1] == (
         "stiffness 150 Nm/rad, hardening 11 1/rad, asymmetry 0.51, bypass stiffness 4.2 Nm/rad, "
         "bypass damping 0.3 Nms/rad"
     )

@@ -197,7 +197,7 @@ def test_the_next_best_is_said_with_its_probability(split):
     found = findings(split, sure("gravity"), rivals=rivals)
     words = in_words(found)
     assert "In the place of gravity the next best is cubic stiffness" in words
-    assert "less by 7.5 nats, its probability 0.4 %" in words
+    assert "less probable, and its probability is 0.4 %" in words
 
 
 def test_a_named_effect_whose_equations_are_not_exact_is_said_to_leave_something(split):

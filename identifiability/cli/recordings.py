@@ -73,7 +73,7 @@ def run(options: argparse.Namespace) -> int:
                 failed = True
                 continue
         found.append(summary(one, record))
-        shutil.copy(folder / "overlay.png", pictures / f"{one.name}.png")
+        shutil.copy(folder / "figures" / "overlay.png", pictures / f"{one.name}.png")
     order = list(REAL)
     found.sort(key=lambda record: order.index(record["name"]))
     at_hand = [one.name for one in chosen if states[one.name] == "found"]

@@ -30,6 +30,7 @@ from identifiability.measurement.perturbations import (
     multisine,
     prbs,
 )
+from identifiability.numerals import number
 
 _EVALUATIONS = 30
 _SIZES = 10  # of a perturbation that are tried until the response keeps within the limits
@@ -260,10 +261,11 @@ def _assess(
         _distance(bench, final, drive, responses[1], noise),
     )
     angle, torque = (amplitude, reached) if angle_driven else (reached, amplitude)
+    turned, pushed = f"{number(angle, 2)} rad", f"{number(torque, 2)} Nm"
     what = (
-        f"{words} with an angle of {angle:.2g} rad (and a torque up to {torque:.2g} Nm)"
+        f"{words} with an angle of {turned} (and a torque up to {pushed})"
         if angle_driven
-        else f"{words} with a torque of {torque:.2g} Nm (and an angle up to {angle:.2g} rad)"
+        else f"{words} with a torque of {pushed} (and an angle up to {turned})"
     )
     return Design(what, float(amplitude), float(angle), float(torque), float(evidence))
 

@@ -14,12 +14,13 @@ from matplotlib.patches import Ellipse, Patch
 from identifiability.inference.widths import Widths
 from identifiability.joint.model import Model
 from identifiability.palette import BLACK, BLUE, GREEN, VERMILLION
-from identifiability.plots.style import styled
+from identifiability.plots.style import PAGE, printed
 
 # Mass inside 1 and 2 standard deviations of a two-dimensional Gaussian: 1 - exp(-r²/2).
 LEVELS = (0.3935, 0.8647)
 
 
+@printed
 def corner_figure(result: Widths, model: Model, *, title: str = "") -> Figure:
     """Draw the posterior of all parameters with everything it is compared to.
 
@@ -46,48 +47,46 @@ def corner_figure(result: Widths, model: Model, *, title: str = "") -> Figure:
     limits = list(zip(low - margin, high + margin, strict=True))
     k = len(names)
     # corner places its panels itself.
-    with styled(), mpl.rc_context({"figure.constrained_layout.use": False}):
-        figure = Figure(figsize=(2.6 * k + 1.2, 2.6 * k + 1.2))
-        corner.corner(
-            draws,
-            fig=figure,
-            range=limits,
-            bins=50,
-            levels=LEVELS,
-            color=BLUE,
-            smooth=1.0,
-            plot_datapoints=False,
-            fill_contours=True,
-            no_fill_contours=False,
-            labels=labels,
-            label_kwargs={"fontsize": 12},
-            max_n_ticks=4,
-            labelpad=0.02,
-            hist_kwargs={"density": True, "linewidth": 1.6},
-        )
-        axes = np.array(figure.axes).reshape(k, k)
-        for i in range(k):
-            _marginal(axes[i, i], result, i)
-            for j in range(i):
-                panel = axes[i, j]
-                panel.plot(optimum[j], optimum[i], "+", color=BLACK, markersize=11, mew=1.8)
-                _ellipse(panel, optimum[[j, i]], covariance[np.ix_([j, i], [j, i])])
-        for panel in figure.axes:
-            panel.tick_params(labelsize=10)
-        figure.legend(
-            handles=[
-                Patch(facecolor=BLUE, alpha=0.5, label="posterior (39.3 % and 86.5 % in 2-D)"),
-                Line2D([], [], color=VERMILLION, label="quadratic: Hessian (39.3 % in 2-D)"),
-                Line2D([], [], color=GREEN, ls="--", label="profile likelihood"),
-                Line2D([], [], color=BLACK, marker="+", ls=":", label="optimum"),
-                *(Line2D([], [], ls="none", label=f"{r.name}: {r.verdict}") for r in result.rows),
-            ],
-            loc="upper right",
-            bbox_to_anchor=(0.985, 0.985),
-            fontsize=11,
-            title=textwrap.fill(title, 44) or None,
-            title_fontsize=12,
-        )
+    with mpl.rc_context({"figure.constrained_layout.use": False}):
+        figure = Figure(figsize=(PAGE, PAGE))
+    corner.corner(
+        draws,
+        fig=figure,
+        range=limits,
+        bins=50,
+        levels=LEVELS,
+        color=BLUE,
+        smooth=1.0,
+        plot_datapoints=False,
+        fill_contours=True,
+        no_fill_contours=False,
+        labels=labels,
+        max_n_ticks=4,
+        labelpad=0.02,
+        hist_kwargs={"density": True, "linewidth": 1.2},
+    )
+    axes = np.array(figure.axes).reshape(k, k)
+    for i in range(k):
+        _marginal(axes[i, i], result, i)
+        for j in range(i):
+            panel = axes[i, j]
+            panel.plot(optimum[j], optimum[i], "+", color=BLACK, markersize=8, mew=1.2)
+            _ellipse(panel, optimum[[j, i]], covariance[np.ix_([j, i], [j, i])])
+    figure.legend(
+        handles=[
+            Patch(facecolor=BLUE, alpha=0.5, label="posterior (39.3 % and 86.5 % in 2-D)"),
+            Line2D([], [], color=VERMILLION, label="quadratic: Hessian (39.3 % in 2-D)"),
+            Line2D([], [], color=GREEN, ls="--", label="profile likelihood"),
+            Line2D([], [], color=BLACK, marker="+", ls=":", label="optimum"),
+            *(
+                Line2D([], [], ls="none", label=f"{r.name}, quadratic width: {r.verdict}")
+                for r in result.rows
+            ),
+        ],
+        loc="upper right",
+        bbox_to_anchor=(0.985, 0.985),
+        title=textwrap.fill(title, 44) or None,
+    )
     return figure
 
 
@@ -106,7 +105,7 @@ def _marginal(panel: object, result: Widths, i: int) -> None:
         x = np.linspace(low, high, 300)
         bell = np.exp(-0.5 * ((x - row.optimum) / row.quadratic) ** 2)
         panel.plot(x, top * bell, color=VERMILLION)  # type: ignore[attr-defined]
-    panel.axvline(row.optimum, color=BLACK, ls=":", lw=1.4)  # type: ignore[attr-defined]
+    panel.axvline(row.optimum, color=BLACK, ls=":", lw=1.0)  # type: ignore[attr-defined]
 
 
 def _ellipse(panel: object, centre: np.ndarray, covariance: np.ndarray) -> None:
@@ -117,6 +116,6 @@ def _ellipse(panel: object, centre: np.ndarray, covariance: np.ndarray) -> None:
     angle = np.degrees(np.arctan2(vectors[1, 1], vectors[0, 1]))
     width, height = 2 * np.sqrt(values[::-1])
     ellipse = Ellipse(
-        tuple(centre), width, height, angle=angle, fill=False, edgecolor=VERMILLION, lw=1.8
+        tuple(centre), width, height, angle=angle, fill=False, edgecolor=VERMILLION, lw=1.2
     )
     panel.add_patch(ellipse)  # type: ignore[attr-defined]

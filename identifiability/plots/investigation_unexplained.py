@@ -1,4 +1,4 @@
-"""Figure of what a model leaves: the kinds of explanation, and the torque that is missing."""
+"""Figures of what a model leaves: the torque that is missing, and the kinds of explanation."""
 
 from __future__ import annotations
 
@@ -7,11 +7,13 @@ from textwrap import fill
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
 from matplotlib.colors import TwoSlopeNorm
 from matplotlib.figure import Figure, SubFigure
 from matplotlib.patches import Patch
 
 from identifiability.inference.curvature import NORMAL_95
+from identifiability.investigation.split import Split
 from identifiability.investigation.unexplained.account import Unexplained
 from identifiability.investigation.unexplained.readouts import (
     MemoryKernel,
@@ -19,7 +21,7 @@ from identifiability.investigation.unexplained.readouts import (
     StaticMap,
 )
 from identifiability.palette import BLUE, GREY, ORANGE, PURPLE, VERMILLION
-from identifiability.plots.style import LONGEST_SHOWN, styled
+from identifiability.plots.style import LONGEST_SHOWN, PAGE, printed
 
 _MOST_TRIALS, _MOST_FAMILIES = 4, 8
 _LINE = 44  # letters of a family's name in one line
@@ -32,54 +34,77 @@ _MEANINGS = {
 }
 
 
-def unexplained_figure(rest: Unexplained) -> Figure:
-    """Kinds of explanation by evidence, the missing torque with its band, and what it depends on.
+@printed
+def missing_torque_figure(split: Split, rest: Unexplained) -> Figure:
+    """The torque that is missing, by the state of the joint and in time.
 
     Parameters
     ----------
+    split : Split
+        The trials that `rest` is of.
     rest : Unexplained
 
     Returns
     -------
     Figure
     """
+    figure = Figure(figsize=(PAGE, 2.7))
+    left, right = figure.subfigures(1, 2, squeeze=False, width_ratios=(1.0, 1.25))[0]
+    axes = left.subplots()
+    if rest.static_map is not None:
+        _map(axes, rest.static_map)
+    else:
+        _paths(axes, split, rest.torque)
+    _torques(right, rest.torque, columns=2)
+    return figure
+
+
+@printed
+def unexplained_figure(rest: Unexplained, *, with_torque: bool = True) -> Figure:
+    """Kinds of explanation by evidence, what the missing torque depends on, and itself in time.
+
+    Parameters
+    ----------
+    rest : Unexplained
+    with_torque : bool
+        Whether the torque is drawn in time, with its band.
+
+    Returns
+    -------
+    Figure
+    """
     detail = rest.memory_kernel is not None or rest.static_map is not None
-    with styled():
-        figure = Figure(figsize=(11.0, 7.2))
-        halves = figure.subfigures(2, 1, squeeze=False, height_ratios=(1.25, 1.0))
-        upper, lower = halves[:, 0]
-        left, *right = np.atleast_1d(
-            upper.subplots(1, 2 if detail else 1, width_ratios=(1.4, 1.0) if detail else None)
-        )
-        _families(left, rest)
-        if rest.memory_kernel is not None:
-            _kernel(right[0], rest.memory_kernel)
-        elif rest.static_map is not None:
-            _map(right[0], rest.static_map)
-        _torques(lower, rest.torque)
+    figure = Figure(figsize=(PAGE, 4.6 if with_torque else 2.6))
+    halves = figure.subfigures(1 + with_torque, 1, squeeze=False)[:, 0]
+    left, *right = np.atleast_1d(
+        halves[0].subplots(1, 2 if detail else 1, width_ratios=(1.4, 1.0) if detail else None)
+    )
+    _families(left, rest)
+    if rest.memory_kernel is not None:
+        _kernel(right[0], rest.memory_kernel)
+    elif rest.static_map is not None:
+        _map(right[0], rest.static_map)
+    if with_torque:
+        _torques(halves[1], rest.torque, columns=_MOST_TRIALS)
     return figure
 
 
 def _families(axes: Axes, rest: Unexplained) -> None:
     shown = rest.families[:_MOST_FAMILIES]
-    heights = np.array([f.log_evidence for f in shown])
+    powers = np.array([f.log_evidence for f in shown]) / np.log(10)
     colours = [_COLOURS.get(f.kind, BLUE) for f in shown]
-    axes.barh(range(len(shown)), heights, color=colours, height=0.7)
+    axes.barh(range(len(shown)), powers, color=colours, height=0.7)
     names = [f.name + (" + a rest" if f.remainder else "") for f in shown]
-    axes.set_yticks(range(len(shown)), [fill(name, _LINE) for name in names], fontsize=8.5)
+    axes.set_yticks(range(len(shown)), [fill(name, _LINE) for name in names])
     axes.invert_yaxis()
     axes.axvline(0, color=GREY, lw=0.8)
-    axes.axvline(heights[0] - rest.decisive, color=GREY, lw=1, ls="--")
-    axes.set_xlabel(
-        f"log evidence against noise alone [nats]; dashed: {rest.decisive:.0f} below the best"
-    )
-    axes.set_title("what kind of thing is left", loc="left", pad=24)
+    axes.axvline(powers[0] - rest.decisive / np.log(10), color=GREY, lw=0.8, ls="--")
+    axes.set_xlabel("powers of ten by which it is more probable than noise")
     axes.legend(
         handles=[Patch(color=c, label=words) for c, words in _MEANINGS.items() if c in colours],
         loc="lower left",
         bbox_to_anchor=(-0.02, 0.99),
-        ncols=len(_MEANINGS),
-        fontsize=9,
+        ncols=2,
     )
 
 
@@ -97,7 +122,7 @@ def _kernel(axes: Axes, kernel: MemoryKernel) -> None:
     axes.axhline(0, color=GREY, lw=0.8)
     axes.set_xlabel("time after a step of angle [ms]")
     axes.set_ylabel("torque / angle [Nm/rad], 95 %")
-    axes.set_title("memory of the missing torque", loc="left")
+    axes.set_title("its memory", loc="left")
 
 
 def _map(axes: Axes, static: StaticMap) -> None:
@@ -118,19 +143,44 @@ def _map(axes: Axes, static: StaticMap) -> None:
     axes.set_title("missing torque by state", loc="left")
 
 
-def _torques(figure: SubFigure, torques: Sequence[MissingTorque]) -> None:
+def _paths(axes: Axes, split: Split, torques: Sequence[MissingTorque]) -> None:
+    """Draw the torque along the way that the state takes, where no map of it is known."""
+    angles = {r.name: r.trial for r in split.fitted}
+    most = max(float(np.abs(t.mean).max()) for t in torques) or 1.0
+    norm = TwoSlopeNorm(0, -most, most)
+    for t in torques:
+        trial = angles[t.trial]
+        angle = np.interp(t.time, trial.time, trial.angle)
+        ways = np.column_stack([angle, np.gradient(angle, t.time)])
+        lines = LineCollection([*np.stack([ways[:-1], ways[1:]], axis=1)], cmap="PuOr", norm=norm)
+        lines.set_array(t.mean[:-1])
+        lines.set_linewidth(2.0)
+        axes.add_collection(lines)
+    axes.autoscale()
+    axes.set_facecolor("0.85")
+    axes.figure.colorbar(lines, ax=axes, label="torque [Nm]")
+    axes.set_xlabel("angle [rad]")
+    axes.set_ylabel("velocity [rad/s]")
+    axes.set_title("missing torque by state", loc="left")
+
+
+def _torques(figure: SubFigure, torques: Sequence[MissingTorque], *, columns: int) -> None:
     sizes = [float(np.max(np.abs(t.mean))) for t in torques]
     shown = sorted(np.argsort(sizes)[::-1][:_MOST_TRIALS].tolist())
-    row = figure.subplots(1, len(shown), sharey=True, squeeze=False)[0]
-    for axes, i in zip(row, shown, strict=True):
+    columns = min(columns, len(shown))
+    rows = -(-len(shown) // columns)
+    grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+    for axes, i in zip(grid.flat, shown, strict=False):
         t = torques[i]
         part = slice(0, int(np.searchsorted(t.time, t.time[0] + LONGEST_SHOWN)) + 1)
         time, mean, sd = t.time[part], t.mean[part], t.sd[part]
         axes.fill_between(
             time, mean - NORMAL_95 * sd, mean + NORMAL_95 * sd, color=VERMILLION, alpha=0.25, lw=0
         )
-        axes.plot(time, mean, color=VERMILLION, lw=1.2)
-        axes.axhline(0, color=GREY, lw=0.8)
-        axes.set_title(t.trial, fontsize=10)
-        axes.set_xlabel("time [s]")
-    row[0].set_ylabel("missing torque [Nm], 95 %")
+        axes.plot(time, mean, color=VERMILLION, lw=0.9)
+        axes.axhline(0, color=GREY, lw=0.6)
+        axes.set_title(t.trial)
+    for axes in grid.flat[len(shown) :]:
+        axes.set_visible(False)
+    figure.supxlabel("time [s]")
+    figure.supylabel("missing torque [Nm], 95 %")

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import wraps
 from pathlib import Path
-from typing import Any
+from typing import Any, ParamSpec
 
 import matplotlib as mpl
 from cycler import cycler
@@ -17,12 +18,17 @@ from identifiability.files import replacing
 from identifiability.palette import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILLION
 
 CYCLE = (BLUE, VERMILLION, GREEN, ORANGE, PURPLE, SKY, BLACK)
+MODEL_COLOURS = (VERMILLION, BLUE, GREEN, PURPLE, ORANGE, SKY)  # of models side by side
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 
 # Maps for quantities of one sign: `MAP` by default, `SECOND_MAP` where two quantities meet.
 MAP, SECOND_MAP = "viridis", "cividis"
 
-DPI, _DPI_SHOWN = 130, 80
+DPI, _DPI_SHOWN, _DPI_PRINTED = 130, 110, 300
+
+# Widths [inch] that journals print figures in: 85 and 180 mm.
+COLUMN, PAGE = 85 / 25.4, 180 / 25.4
+PRINTED_AS = (".svg", ".pdf", ".png")
 
 LONGEST_SHOWN = 3.0  # seconds of a record: of more, nothing could be made out
 
@@ -46,7 +52,28 @@ _STYLE: Any = {
     "figure.constrained_layout.use": True,
     "savefig.dpi": DPI,
     "svg.hashsalt": "identifiability",
+    "pdf.fonttype": 42,  # letters that an editor of figures can edit
 }
+
+# No letter below 7 points, at the width that is printed.
+_PRINT: Any = {
+    "font.size": 7.5,
+    "axes.titlesize": 8,
+    "axes.labelsize": 7.5,
+    "xtick.labelsize": 7,
+    "ytick.labelsize": 7,
+    "legend.fontsize": 7,
+    "legend.title_fontsize": 7,
+    "figure.titlesize": 8,
+    "figure.labelsize": 7.5,
+    "axes.linewidth": 0.6,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "lines.linewidth": 1.2,
+    "lines.markersize": 3.5,
+}
+
+P = ParamSpec("P")
 
 
 @contextmanager
@@ -56,7 +83,24 @@ def styled() -> Iterator[None]:
         yield
 
 
-def save(figure: Figure, path: Path | str) -> Path:
+def printed(draw: Callable[P, Figure]) -> Callable[P, Figure]:
+    """Have a function draw its figure for print: `COLUMN` or `PAGE` wide, in small letters."""
+
+    @wraps(draw)
+    def drawn(*args: P.args, **kwargs: P.kwargs) -> Figure:
+        with mpl.rc_context(_STYLE | _PRINT):
+            figure = draw(*args, **kwargs)
+            # Ticks are made while drawing, and others where the layout has changed the room for
+            # them; after that it is kept, being what takes the longest.
+            for _ in range(2):
+                figure.draw_without_rendering()
+            figure.set_layout_engine("none")
+        return figure
+
+    return drawn
+
+
+def save(figure: Figure, path: Path | str, *, dpi: int = DPI) -> Path:
     """Write a figure; the file appears whole or not at all.
 
     Parameters
@@ -64,6 +108,8 @@ def save(figure: Figure, path: Path | str) -> Path:
     figure : Figure
     path : path
         Its suffix says the format; folders are made where they are missing.
+    dpi : int
+        Of what is stored in dots.
 
     Returns
     -------
@@ -71,11 +117,20 @@ def save(figure: Figure, path: Path | str) -> Path:
     """
     path = Path(path)
     # Without the writer's version, or the date, the bytes depend on the figure alone.
-    metadata = {".png": {"Software": None}, ".svg": {"Date": None, "Creator": None}}
+    metadata = {
+        ".png": {"Software": None},
+        ".svg": {"Date": None, "Creator": None},
+        ".pdf": {"CreationDate": None, "Creator": None, "Producer": None},
+    }
     # Ticks are made while drawing, so the style is needed here too.
     with styled(), replacing(path) as temporary:
-        figure.savefig(temporary, dpi=DPI, metadata=metadata.get(path.suffix))
+        figure.savefig(temporary, dpi=dpi, metadata=metadata.get(path.suffix))
     return path
+
+
+def save_printed(figure: Figure, folder: Path, name: str) -> list[Path]:
+    """Write a figure in each format that journals ask for: see `PRINTED_AS`."""
+    return [save(figure, folder / f"{name}{kind}", dpi=_DPI_PRINTED) for kind in PRINTED_AS]
 
 
 def png_of(figure: Figure) -> bytes:

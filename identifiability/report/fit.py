@@ -10,31 +10,25 @@ from identifiability.inference.archive import write_netcdf
 from identifiability.inference.consistency import Consistency, consistency
 from identifiability.inference.recordings import Goodness, RecordingFit
 from identifiability.inference.records import fit_record
+from identifiability.inference.widths import Width
+from identifiability.investigation.wording.numbers import vaf_text
 from identifiability.joint.parameters import plus_minus
+from identifiability.numerals import number
 from identifiability.plots.corner import corner_figure
 from identifiability.plots.recording import overlay_figure, windows_figure
-from identifiability.plots.style import save
+from identifiability.report.figures import Figures
 from identifiability.report.page import Page
 from identifiability.report.widths import width_in_words, widths_text
 
 
 def write_fit(result: RecordingFit, out: Path) -> list[str]:
-    """Write record, posterior and figures into a folder; returns the files' names."""
+    """Write record, posterior, report and figures into a folder; returns the files' names."""
     title = result.prepared[0].trial.name
     if len(result.prepared) > 1:
         title += f" and {len(result.prepared) - 1} more"
-    figures = {
-        "overlay.png": overlay_figure(result),
-        "corner.png": corner_figure(result.widths, result.problem.model, title=title),
-    }
-    if result.windows:
-        figures["windows.png"] = windows_figure(result)
-    for name, figure in figures.items():
-        save(figure, out / name)
     write_netcdf(result.problem, result.widths, out / "posterior.nc")
     write_json(out / "fit.json", fit_record(result))
-    write_text(out / "report.html", _page(result, title, out, list(figures)).render())
-    return ["report.html", "fit.json", *figures, "posterior.nc"]
+    return ["report.html", "fit.json", "posterior.nc", *_write_report(result, title, out)]
 
 
 def answer(found: Consistency) -> str:
@@ -65,10 +59,23 @@ def answer(found: Consistency) -> str:
             + ("whole records" if until is None else _times([until]))
         )
     also = f" Neither {'is' if len(others) == 1 else 'are'} " + " and ".join(o.name for o in others)
+    return f"{said}: it is not a property of this joint." + (f"{also}." if others else "")
+
+
+def advice(found: Consistency) -> str:
+    """What to do next."""
+    if found.kind == "the same":
+        return (
+            "Quote K, B and I with their widths. Whether they miss something small: "
+            "identifiability investigate, with the same files."
+        )
+    if found.kind == "not tested":
+        return (
+            "Fit windows too (--window 0.05 0.1), or records that go on longer after each "
+            "perturbation."
+        )
     return (
-        f"{said}: it is not a property of this joint."
-        + (f"{also}." if others else "")
-        + " What K, B and I miss: identifiability investigate, with the same files."
+        "Do not quote K, B and I. What they miss: identifiability investigate, with the same files."
     )
 
 
@@ -77,28 +84,74 @@ def _times(windows: Sequence[float]) -> str:
     return (f"{', '.join(most)} and " if most else "") + f"{last} ms"
 
 
-_CAPTIONS = {
-    "overlay.png": "What was imposed, what was measured and fitted, and what the fit leaves.",
-    "windows.png": "K, B and I by window, with 95 % intervals; grey: whole records.",
-    "corner.png": "Posterior of K, B and I, with the ellipse of the quadratic estimate.",
-}
 _WIDTHS = ("slice", "quadratic", "gauss_newton", "sandwich", "profile", "posterior_sd")
 
 
-def _page(result: RecordingFit, title: str, out: Path, figures: Sequence[str]) -> Page:
-    """The report: answer, parameters by every way to fit them, figures."""
+def _write_report(result: RecordingFit, title: str, out: Path) -> list[str]:
+    """Answer, parameters by every way to fit them, figures; returns the figures' names."""
     page = Page(f"K, B and I of {title}")
-    page.box(answer(consistency(result)), [])
+    figures = Figures(page, out)
+    found, held = consistency(result), result.held_out
+    values = ", ".join(f"{r.name} = {_value(r)}" for r in result.widths.rows)
+    box = [("K, B and I of whole records", f"{values}.")]
+    if held is not None:
+        box.append(
+            (
+                "Not fitted",
+                f"Fitted to {held.fitted}, they explain {_vaf(held.goodness_fitted)} % of the "
+                f"variance there, and {_vaf(held.goodness_held_out)} % on {held.held_out}, which "
+                "was not fitted.",
+            )
+        )
+    page.box(answer(found), [*box, ("Next", advice(found))])
+    _values(page, result)
+    page.items([*_noise_lines(result), *(f"note: {warning}" for warning in result.warnings)])
+    figures.show(
+        "overlay",
+        lambda: overlay_figure(result),
+        f"What was imposed, what was measured and fitted, and what the fit leaves: E = "
+        f"{number(result.goodness.error)}, VAF = {_vaf(result.goodness)} %.",
+        "Curves of the imposed signal, of the measured and fitted response, and of the residual.",
+    )
+    if result.windows:
+        figures.show(
+            "windows",
+            lambda: windows_figure(result),
+            "K, B and I by window, with 95 % intervals; grey: whole records. A joint that is K, B "
+            "and I has the same ones in every window.",
+            f"Estimates of K, B and I in windows of {_times([w.window for w in result.windows])}.",
+        )
+    figures.show(
+        "corner",
+        lambda: corner_figure(result.widths, result.problem.model, title=title),
+        "Posterior of K, B and I, with the ellipse of the quadratic estimate.",
+        "Contours of the posterior of each two of K, B and I, and its histogram of each.",
+    )
+    _ellipse(page, result)
+    write_text(out / "report.html", page.render())
+    return figures.written
+
+
+def _value(row: Width) -> str:
+    return f"{plus_minus(row.optimum, row.posterior_sd)} {row.unit}"
+
+
+def _vaf(goodness: Goodness) -> str:
+    return vaf_text(1 - goodness.vaf / 100)
+
+
+def _values(page: Page, result: RecordingFit) -> None:
+    """K, B and I by every way to fit them."""
     rows, held, least = result.widths.rows, result.held_out, result.least_squares
-    vaf = f"{result.goodness.vaf:.2f}"
     table = [["whole records", *(plus_minus(r.optimum, r.posterior_sd) for r in rows), ""]]
     for w in result.windows:
         values = [plus_minus(r.optimum, r.posterior_sd) for r in w.widths.rows]
-        table.append([f"windows of {_times([w.window])}", *values, f"{w.goodness.vaf:.2f}"])
-    table.append(["whole records, least squares", *(plus_minus(least[r.name]) for r in rows), vaf])
+        table.append([f"windows of {_times([w.window])}", *values, _vaf(w.goodness)])
+    values = [number(least[r.name], 4) for r in rows]
+    table.append(["whole records, least squares", *values, _vaf(result.goodness)])
     if held is not None:
-        values = [plus_minus(held.fit[r.name]) for r in rows]
-        vaf = f"{held.goodness_held_out.vaf:.2f} on {held.held_out}"
+        values = [number(held.fit[r.name], 4) for r in rows]
+        vaf = f"{_vaf(held.goodness_held_out)} on {held.held_out}"
         table.append([f"{held.fitted}, least squares", *values, vaf])
     page.table(
         ["fitted to", *(f"{r.name} [{r.unit}]" for r in rows), "VAF [%]"],
@@ -110,9 +163,11 @@ def _page(result: RecordingFit, title: str, out: Path, figures: Sequence[str]) -
         "channels estimated beside K, B and I. It is the uncertainty of K, B and I only if the "
         "joint is K, B and I: what the model misses counts as noise."
     )
-    page.items([*_noise_lines(result), *(f"note: {warning}" for warning in result.warnings)])
-    for name in figures:
-        page.figure((out / name).read_bytes(), _CAPTIONS[name], alt=_CAPTIONS[name])
+
+
+def _ellipse(page: Page, result: RecordingFit) -> None:
+    """All widths side by side."""
+    rows = result.widths.rows
     page.heading("Whether the ellipse is the width")
     page.paragraph(
         "Standard deviations: slice (all others held), quadratic (the paper's estimate, by the "
@@ -123,14 +178,14 @@ def _page(result: RecordingFit, title: str, out: Path, figures: Sequence[str]) -
         [
             [
                 f"{r.name} [{r.unit}]",
-                *(f"{getattr(r, w):.3g}" for w in _WIDTHS),
-                f"{width_in_words(r.verdict)}: {r.reason}",
+                *(number(getattr(r, w)) for w in _WIDTHS),
+                width_in_words(r.verdict),
             ]
             for r in rows
         ],
         text_columns=(7,),
     )
-    return page
+    page.items([f"{r.name}: {r.reason}." for r in rows])
 
 
 def fit_text(result: RecordingFit) -> str:
@@ -147,6 +202,7 @@ def fit_text(result: RecordingFit) -> str:
     )
     lines = [
         answer(consistency(result)),
+        advice(consistency(result)),
         "",
         widths_text(result.widths),
         "",

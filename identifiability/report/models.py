@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from identifiability.investigation.findings import Findings
-from identifiability.investigation.fits.candidate import Candidate
+from identifiability.investigation.fits.candidate import Residual
 from identifiability.investigation.models import FittedModel, fitted_models
-from identifiability.investigation.wording import verdict as words
-from identifiability.joint.parameters import plus_minus, with_unit
-from identifiability.plots.investigation import error_text
+from identifiability.investigation.wording.numbers import error_text, vaf_text
+from identifiability.investigation.wording.values import (
+    name_in_words,
+    own_values_in_words,
+    value_in_words,
+)
+from identifiability.numerals import number
 from identifiability.report.page import Page
 
 _JOINT = ("K", "B", "I")
@@ -17,37 +19,43 @@ _JOINT = ("K", "B", "I")
 
 def models_table(page: Page, findings: Findings) -> None:
     """One row a model: what K, B and I become, and what is left."""
-    models = fitted_models(findings)
+    models, split = fitted_models(findings), findings.split
     units = findings.found.baseline.model.parameters
+    parts = [("fitted", split.fitted)] + ([("held out", split.held_out)] if split.held_out else [])
     rows = [
         [
-            _name(one),
-            *(plus_minus(one.candidate.values[n], one.sds.get(n)) for n in _JOINT),
-            _own(one),
-            error_text(one.candidate.fitted.error),
-            *_held_out(one.candidate),
+            _name(one, findings),
+            *(value_in_words(one, name, unit=False) for name in _JOINT),
+            own_values_in_words(one),
+            *(_error(getattr(one.candidate, name.replace(" ", "_"))) for name, _ in parts),
+            *(_vaf(getattr(one.candidate, name.replace(" ", "_"))) for name, _ in parts),
         ]
         for one in models
     ]
-    floor = findings.split.noise_floor()
-    rows.append(["noise alone", "", "", "", "", f"{floor:.2g}" if floor else "unknown", "", ""])
+    floors = [split.noise_floor(trials) for _, trials in parts]
+    if all(floors):
+        errors = [number(floor or 0.0, 2) for floor in floors]
+        rows.append(
+            ["noise alone", *[""] * 4, *errors, *(vaf_text(floor or 0.0) for floor in floors)]
+        )
     page.table(
         [
             "model",
             *(f"{n} [{units[n].unit}]" for n in _JOINT),
-            "the effect's own",
-            "E fitted",
-            "E held out",
-            "VAF held out [%]",
+            "of its own",
+            *(f"E {name}" for name, _ in parts),
+            *(f"VAF {name} [%]" for name, _ in parts),
         ],
         rows,
-        marked=["chosen" if one.role == "final" else "" for one in models],
+        marked=[
+            "chosen" if one.role == "final" and findings.verdict.sets else "" for one in models
+        ],
         text_columns=(0, 4),
     )
     page.paragraph(
-        "Values are those of the smallest error E on the fitted trials; ± is one standard "
-        "deviation, with the noise estimated beside them. Of a model that leaves more than noise "
-        "it is the least that can be defended."
+        "E is the share of the response's energy that a model leaves, VAF = 1 - E; held-out trials "
+        "were not fitted. ± is one standard deviation, with the noise estimated beside the "
+        "parameters. Of a model that leaves more than noise it is the least that can be defended."
     )
 
 
@@ -56,46 +64,29 @@ def models_text(findings: Findings) -> list[str]:
     models = fitted_models(findings)
     units = findings.found.baseline.model.parameters
     heads = [f"{n} [{units[n].unit}]" for n in _JOINT]
-    lines = [f"{'model':<32}{''.join(f'{h:>20}' for h in heads)}{'E fitted':>11}{'E held out':>12}"]
+    lines = [f"{'model':<38}{''.join(f'{h:>20}' for h in heads)}{'E fitted':>12}{'E held out':>12}"]
     for one in models:
-        values = [plus_minus(one.candidate.values[n], one.sds.get(n)) for n in _JOINT]
-        held = one.candidate.held_out.error
+        values = [value_in_words(one, name, unit=False) for name in _JOINT]
         lines.append(
-            f"{_name(one):<32}{''.join(f'{v:>20}' for v in values)}"
-            f"{error_text(one.candidate.fitted.error):>11}"
-            + (f"{error_text(held):>12}" if findings.split.held_out else f"{'-':>12}")
+            f"{_name(one, findings):<38}{''.join(f'{v:>20}' for v in values)}"
+            f"{_error(one.candidate.fitted):>12}{_error(one.candidate.held_out):>12}"
         )
-        if own := _own(one):
+        if own := own_values_in_words(one):
             lines.append(f"    {own}")
     floor = findings.split.noise_floor()
-    lines.append(f"{'noise alone':<92}" + (f"{floor:>11.2g}" if floor else f"{'unknown':>11}"))
+    lines.append(f"{'noise alone':<98}" + f"{number(floor, 2) if floor else 'unknown':>12}")
     return lines
 
 
-def _name(one: FittedModel) -> str:
-    """What a row of the table of models is."""
-    if one.role == "baseline":
-        return ", ".join(["K, B, I", *map(words.plain, one.candidate.keys)])
-    if one.role == "instead":
-        return f"{words.plain(one.added)} in its place"
-    return f"+ {words.plain(one.added)}"
+def _name(one: FittedModel, findings: Findings) -> str:
+    """What a model is; what is not claimed is a clue."""
+    clue = one.role in ("step", "final") and not findings.verdict.sets
+    return name_in_words(one) + (" (a clue)" if clue else "")
 
 
-def _own(one: FittedModel) -> str:
-    """Parameters of the effect by which a model differs from the one above it."""
-    if not one.added:
-        return ""
-    own, parameters, values = f"{one.added}.", one.candidate.model.parameters, one.candidate.values
-    return ", ".join(
-        f"{words.plain(name[len(own) :])} "
-        + with_unit(plus_minus(values[name], one.sds.get(name)), parameters[name].unit)
-        for name in one.candidate.free
-        if name.startswith(own)
-    )
+def _error(left: Residual) -> str:
+    return error_text(left.error) if left.by_trial else "-"
 
 
-def _held_out(candidate: Candidate) -> list[str]:
-    error = candidate.held_out.error
-    if not np.isfinite(error):
-        return ["-", "-"]
-    return [error_text(error), f"{100 * (1 - error):.2f}"]
+def _vaf(left: Residual) -> str:
+    return vaf_text(left.error) if left.by_trial else ""

@@ -18,6 +18,7 @@ from identifiability.investigation.rules import Rules
 from identifiability.investigation.smallest_seen.hidden import Hidden, Known
 from identifiability.joint.effects.base import Effect
 from identifiability.joint.programs import THREADS
+from identifiability.numerals import number
 from identifiability.progress import Progress, silent
 
 _FIRST = 0.01  # share of the nominal size that the bracket is looked for from
@@ -140,7 +141,7 @@ class _Search:
             return None
         values = hidden.values(min(_MARGIN * found, most))
         size = values[hidden.sizes[0]]
-        words = f"{p.description} {'of' if finite else 'up to'} {size:.2g} {p.unit}"
+        words = f"{p.description} {'of' if finite else 'up to'} {number(size, 2)} {p.unit}"
         return Detectable(hidden.key, hidden.sizes[0], size, p.unit, words, values)
 
     def _in_known_noise(self, strength: float) -> float:

@@ -9,10 +9,11 @@ import numpy as np
 
 from identifiability.investigation.where.drawing import curve, legend_above, ratios_by_time
 from identifiability.investigation.where.imposed import OTHER_SIZE
-from identifiability.investigation.where.numerals import probability, short
+from identifiability.investigation.where.numerals import probability
 from identifiability.investigation.where.pairs import alike, combine, names, profile, trials_of
 from identifiability.investigation.where.scene import Scene, misfit, time_edges
 from identifiability.investigation.where.view import Panel, View
+from identifiability.numerals import number
 from identifiability.palette import BLUE
 
 if TYPE_CHECKING:
@@ -83,7 +84,7 @@ class AmplitudeView(View):
                 "scales with it is not known."
             )
         size, chance = (
-            f"{short(np.sqrt(self.overall))} times {self.reference}",
+            f"{number(np.sqrt(self.overall), 2)} times {self.reference}",
             probability(self.p_value),
         )
         if self.significant:

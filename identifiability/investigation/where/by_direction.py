@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import numpy as np
 
 from identifiability.investigation.where.drawing import curve, legend_above, ratios_by_time
-from identifiability.investigation.where.numerals import short
 from identifiability.investigation.where.pairs import alike, combine, names, profile, trials_of
 from identifiability.investigation.where.scene import Scene, time_edges
 from identifiability.investigation.where.view import Panel, View
+from identifiability.numerals import number
 from identifiability.palette import BLUE, ORANGE
 
 if TYPE_CHECKING:
@@ -94,7 +94,7 @@ class DirectionView(View):
             (True, False): "The misfit keeps its sign when the perturbation turns",
             (True, True): ("The misfit differs between the directions, and partly turns with them"),
         }[self.even_significant, self.odd_significant]
-        even, odd = (short(np.sqrt(x)) for x in (self.overall_even, self.overall_odd))
+        even, odd = (number(np.sqrt(x), 2) for x in (self.overall_even, self.overall_odd))
         return f"{found} (even part {even}, odd part {odd} times {self.reference})."
 
     def panels(self) -> tuple[Panel, ...]:

@@ -13,13 +13,14 @@ from identifiability.investigation.where.drawing import (
     MOST_LABELS,
     is_logarithmic,
     label_below,
+    logarithmic,
     unity,
 )
-from identifiability.investigation.where.numerals import short
 from identifiability.investigation.where.scene import Scene
 from identifiability.investigation.where.view import Panel, View
 from identifiability.investigation.where.whitening import excess
 from identifiability.measurement.noise import correlation_time
+from identifiability.numerals import number
 from identifiability.palette import BLUE
 
 if TYPE_CHECKING:
@@ -100,7 +101,7 @@ class TrialView(View):
 
     def words(self) -> str:
         """How many are worse than the noise, or than the others, and which is worst."""
-        n, pooled = len(self.names), short(self.pooled)
+        n, pooled = len(self.names), number(self.pooled, 2)
         if n == 1 and not self.noise_known:
             return f"There is one {self.singular} (E = {pooled}), and the noise is unknown."
         against = (
@@ -111,10 +112,10 @@ class TrialView(View):
         if n == 1:
             return f"The one {self.singular} has a larger error than {against} (E = {pooled})."
         worst = int(np.argmax(np.where(self.flags, self.ratio, 0.0)))
+        error = number(self.errors[worst], 2)
         return (
             f"{self.flags.sum()} of {n} {self.plural} have a larger error than {against}; it is "
-            f"largest against that in {self.names[worst]} (E = {short(self.errors[worst])}, over "
-            f"all {pooled})."
+            f"largest against that in {self.names[worst]} (E = {error}, over all {pooled})."
         )
 
     def panels(self) -> tuple[Panel, ...]:
@@ -132,17 +133,18 @@ class TrialView(View):
         if place.size <= MOST_LABELS:
             for x, y, error in zip(place, ratio, self.errors, strict=True):
                 panel.annotate(
-                    f"E {error:.1g}",
+                    f"E {number(error, 1)}",
                     (x, y),
                     xytext=(0, 3),
                     textcoords="offset points",
                     ha="center",
-                    fontsize=8,
                 )
         unity(panel)
         if is_logarithmic(ratio.max()):
-            panel.set_yscale("log")
-            panel.set_ylim(bottom=min(0.5, 0.8 * ratio.min()), top=2 * ratio.max())
+            logarithmic(panel)
+            panel.set_ylim(bottom=min(0.5, 0.8 * ratio.min()), top=3 * ratio.max())
+        else:
+            panel.set_ylim(0, 1.25 * max(ratio.max(), 1.0))
         others = "noise" if self.noise_known else "others'"
         panel.set_ylabel(f"residual / {others}, r.m.s.")
         label_below(panel, self.names)

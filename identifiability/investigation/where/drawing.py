@@ -20,13 +20,13 @@ _LONG = 40  # letters of all names together from which they are turned
 
 def curve(panel: Axes, edges: np.ndarray, ratio: np.ndarray, colour: str, label: str = "") -> None:
     """Draw the root of mean squares in bins of the time since the perturbation [s]."""
-    panel.stairs(np.sqrt(ratio), 1000 * edges, color=colour, lw=1.8, label=label, baseline=None)
+    panel.stairs(np.sqrt(ratio), 1000 * edges, color=colour, label=label, baseline=None)
 
 
-def points(panel: Axes, x: np.ndarray, y: np.ndarray, flags: np.ndarray, size: float = 5) -> None:
+def points(panel: Axes, x: np.ndarray, y: np.ndarray, flags: np.ndarray) -> None:
     """Draw points, filled where they are flagged."""
-    panel.plot(x[flags], y[flags], "o", color=BLUE, ms=size)
-    panel.plot(x[~flags], y[~flags], "o", color=BLUE, ms=size, mfc="white")
+    panel.plot(x[flags], y[flags], "o", color=BLUE)
+    panel.plot(x[~flags], y[~flags], "o", color=BLUE, mfc="white")
 
 
 def unity(panel: Axes) -> None:
@@ -39,13 +39,24 @@ def is_logarithmic(largest: float) -> bool:
     return largest > _LOGARITHMIC
 
 
+def logarithmic(panel: Axes) -> None:
+    """Make the vertical axis logarithmic, with numbers at powers of ten alone."""
+    panel.set_yscale("log")
+    panel.yaxis.set_minor_formatter("")
+
+
+def ratios(panel: Axes, largest: float) -> None:
+    """Make the vertical axis ready for ratios up to this one."""
+    if is_logarithmic(largest):
+        logarithmic(panel)
+    else:
+        panel.set_ylim(0, 1.15 * max(largest, 1.5))
+
+
 def ratios_by_time(panel: Axes, largest: float, noise_known: bool) -> None:
     """Make axes ready for ratios of sizes against the time since the perturbation."""
     unity(panel)
-    if is_logarithmic(largest):
-        panel.set_yscale("log")
-    else:
-        panel.set_ylim(0, 1.15 * max(largest, 1.5))
+    ratios(panel, largest)
     panel.set_ylabel(f"residual / {'noise' if noise_known else 'typical'}, r.m.s.")
     panel.set_xlabel("time since the perturbation [ms]")
 
@@ -73,5 +84,4 @@ def label_below(panel: Axes, names: Sequence[str], turned: bool = False) -> None
         rotation=40 if long else 0,
         ha="right" if long else "center",
         rotation_mode="anchor",
-        fontsize=9,
     )

@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, ClassVar, Self
 import numpy as np
 from scipy import signal, stats
 
-from identifiability.investigation.where.drawing import legend_above, points, unity
-from identifiability.investigation.where.numerals import short
+from identifiability.investigation.where.drawing import legend_above, points, ratios, unity
 from identifiability.investigation.where.scene import Scene
 from identifiability.investigation.where.view import Panel, View
 from identifiability.investigation.where.whitening import Portion, excess
+from identifiability.numerals import number
 from identifiability.palette import BLUE, VERMILLION
 
 if TYPE_CHECKING:
@@ -144,7 +144,7 @@ class FrequencyView(View):
         low, high = self.edges[worst : worst + 2]
         sentence = (
             f"The residual's power exceeds the noise's at {_bands(self.edges, self.flags)}, most "
-            f"({short(self.ratio[worst])} times) at {short(low)} to {short(high)} Hz"
+            f"({number(self.ratio[worst], 2)} times) at {number(low, 2)} to {number(high, 2)} Hz"
         )
         if not self.coherence_known:
             return sentence + "."
@@ -160,7 +160,7 @@ class FrequencyView(View):
     def draw_power(self, panel: Axes) -> None:
         """Draw the residual's power over the noise's, and mark what is coherent."""
         centres = self._axis(panel)
-        panel.stairs(self.ratio, self.edges, color=BLUE, baseline=None, lw=1.8)
+        panel.stairs(self.ratio, self.edges, color=BLUE, baseline=None)
         points(panel, centres, self.ratio, self.flags)
         both = self.flags & self.coherent
         panel.plot(
@@ -169,12 +169,12 @@ class FrequencyView(View):
             "o",
             mfc="none",
             mec=VERMILLION,
-            ms=11,
-            mew=1.6,
+            ms=7,
+            mew=1.2,
             label=f"coherent with the {self.driven}",
         )
         unity(panel)
-        panel.set_yscale("log")
+        ratios(panel, float(self.ratio.max()))
         panel.set_ylabel("residual / noise, power")
         if both.any():
             legend_above(panel)
@@ -182,7 +182,7 @@ class FrequencyView(View):
     def draw_coherence(self, panel: Axes) -> None:
         """Draw the residual's coherence with what was imposed."""
         centres, coherence = self._axis(panel), np.nan_to_num(self.coherence)
-        panel.stairs(coherence, self.edges, color=BLUE, lw=1.8, baseline=None)
+        panel.stairs(coherence, self.edges, color=BLUE, baseline=None)
         points(panel, centres, coherence, self.coherent)
         panel.set_ylim(0, 1)
         panel.set_ylabel(f"coherence with the {self.driven}")
@@ -254,4 +254,6 @@ def _bands(hertz: np.ndarray, flags: np.ndarray) -> str:
     """Flagged bands in words, neighbours joined."""
     edge = np.flatnonzero(np.diff(np.concatenate([[0], flags.astype(int), [0]])))
     pairs = edge.reshape(-1, 2)
-    return " and ".join(f"{short(hertz[low])} to {short(hertz[high])} Hz" for low, high in pairs)
+    return " and ".join(
+        f"{number(hertz[low], 2)} to {number(hertz[high], 2)} Hz" for low, high in pairs
+    )

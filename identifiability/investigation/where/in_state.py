@@ -156,12 +156,10 @@ class StateView(View):
 
 def _draw(curve: Curve, what: str, explains: bool, panel: Axes) -> None:
     panel.axhline(0, color=GREY, lw=0.8)
-    panel.errorbar(
-        curve.at, curve.torque, NORMAL_95 * curve.errors, color=BLUE, lw=1.4, elinewidth=1.2
-    )
+    panel.errorbar(curve.at, curve.torque, NORMAL_95 * curve.errors, color=BLUE)
     points(panel, curve.at, curve.torque, curve.flags)
     panel.set_xlabel(what)
-    panel.set_ylabel("unexplained torque [Nm]")
+    panel.set_ylabel("missing torque [Nm]")
     if explains:
         panel.annotate(
             f"explains {100 * curve.share:.0f} % of the misfit",
@@ -169,7 +167,6 @@ def _draw(curve: Curve, what: str, explains: bool, panel: Axes) -> None:
             xycoords="axes fraction",
             ha="right",
             va="top",
-            fontsize=9,
         )
         low, high = panel.get_ylim()
         panel.set_ylim(low, high + 0.15 * (high - low))

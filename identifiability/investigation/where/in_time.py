@@ -9,10 +9,11 @@ import numpy as np
 
 from identifiability.investigation.fits.refits import UNKNOWN_LEVEL, without_levels
 from identifiability.investigation.where.drawing import curve, points, ratios_by_time, room_above
-from identifiability.investigation.where.numerals import probability, short
+from identifiability.investigation.where.numerals import probability
 from identifiability.investigation.where.scene import Scene, bin_of, share, time_edges
 from identifiability.investigation.where.view import Panel, View
 from identifiability.investigation.where.whitening import excess
+from identifiability.numerals import number
 from identifiability.palette import BLUE, VERMILLION
 
 if TYPE_CHECKING:
@@ -74,7 +75,7 @@ class TimeView(View):
         sentence = (
             f"The residual exceeds {self.reference} in {self.flags.sum()} of {n} bins of time, "
             f"most from {first:.0f} to {last:.0f} ms after the perturbation "
-            f"({short(np.sqrt(self.ratio[worst]))} times in size)"
+            f"({number(np.sqrt(self.ratio[worst]), 2)} times in size)"
         )
         if self.latency is None:
             return sentence + "."
@@ -97,7 +98,7 @@ class TimeView(View):
         ratios_by_time(panel, float(sizes.max()), self.noise_known)
         if self.latency:
             room_above(panel, 2.0, 1.0)
-            panel.axvline(1000 * self.latency, color=VERMILLION, lw=1.4)
+            panel.axvline(1000 * self.latency, color=VERMILLION)
             late = self.latency > np.mean(self.edges[[0, -1]])
             panel.annotate(
                 f"fitted until here alone, K, B and I suffice ({1000 * self.latency:.0f} ms)",

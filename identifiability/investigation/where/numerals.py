@@ -1,15 +1,12 @@
 """Numbers in sentences."""
 
-
-def short(x: float, digits: int = 2) -> str:
-    """A number with so many significant digits, without an exponent unless it is very small."""
-    return f"{float(f'{x:.{digits}g}'):.10g}"
+from identifiability.numerals import number
 
 
 def told_apart(a: float, b: float) -> tuple[str, str]:
     """Two numbers with as many digits as it takes to tell them apart, at least two."""
     for digits in range(2, 7):
-        x, y = short(a, digits), short(b, digits)
+        x, y = number(a, digits), number(b, digits)
         if x != y:
             break
     return x, y

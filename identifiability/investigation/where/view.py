@@ -27,7 +27,7 @@ class Panel:
     draw : callable
         Draws what a view found on the axes that it is handed.
     width : int
-        Of the four columns that a row of panels has.
+        Of the three columns that a row of panels has.
     """
 
     title: str

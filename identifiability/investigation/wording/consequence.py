@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from math import floor, log10
-
 from identifiability.investigation.findings import Findings
 from identifiability.investigation.models import FittedModel, fitted_models
-from identifiability.joint.parameters import plus_minus, with_unit
+from identifiability.investigation.wording.numbers import error_text
+from identifiability.investigation.wording.values import value_in_words
+from identifiability.joint.parameters import with_unit
+from identifiability.numerals import number, range_text
 
 _JOINT = ("K", "B", "I")
+_FACTOR = 4.0  # by which an error falls that is given as a factor
 _APART = 2.0  # standard deviations from which models say other things
 
 
@@ -24,14 +26,14 @@ def consequence_sentence(findings: Findings) -> str:
     ]
     trials = "trials that were not fitted" if held_out else "the fitted trials"
     if findings.verdict.kind == "nothing_missing":
-        return f"{_values(base)} stand, with E = {errors[0]:.3g} on {trials}."
+        return f"{_values(base)} stand, with E = {error_text(errors[0])} on {trials}."
     if after is base:
         return (
-            f"Do not quote {_values(base)}: they leave E = {errors[0]:.3g} on {trials}, and their "
-            "widths do not hold what is missing."
+            f"Do not quote {_values(base)}: they leave E = {error_text(errors[0])} on {trials}, "
+            "and their widths do not hold what is missing."
         )
-    before = ", ".join(f"{base.candidate.values[name]:.3g}" for name in _JOINT)
-    falls = f"the error on {trials} goes from {errors[0]:.3g} to {errors[1]:.3g}"
+    before = ", ".join(number(base.candidate.values[name]) for name in _JOINT)
+    falls = f"the error on {trials} goes from {error_text(errors[0])} to {error_text(errors[1])}"
     if errors[1] < errors[0]:
         falls = falls.replace("goes", "falls") + f", {_times(errors[0] / errors[1])}"
     clue = findings.verdict.kind.startswith("unknown") or findings.verdict.kind == "unrepeatable"
@@ -51,18 +53,14 @@ def _values(*models: FittedModel) -> str:
         values = [other.candidate.values[name] for other in models]
         apart = max(values) - min(values)
         if apart > _APART * max(other.sds.get(name, 0.0) for other in models):
-            number = _range(min(values), max(values))
+            found = with_unit(range_text(min(values), max(values)), parameters[name].unit)
         else:
-            number = plus_minus(values[0], one.sds.get(name))
-        said.append(f"{name} = {with_unit(number, parameters[name].unit)}")
+            found = value_in_words(one, name)
+        said.append(f"{name} = {found}")
     return ", ".join(said)
 
 
-def _range(low: float, high: float) -> str:
-    """Two numbers with as many decimals, three digits of the larger."""
-    decimals = max(0, 2 - floor(log10(max(abs(low), abs(high), 1e-300))))
-    return f"{low:.{decimals}f} to {high:.{decimals}f}"
-
-
 def _times(ratio: float) -> str:
-    return f"to a {ratio:.0f}th" if ratio >= 4 else f"by {100 * (1 - 1 / ratio):.0f} %"
+    if ratio >= _FACTOR:
+        return f"by a factor of {number(ratio, 2)}"
+    return f"by {100 * (1 - 1 / ratio):.0f} %"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from identifiability.investigation.next_experiment import NextExperiment
 from identifiability.investigation.wording.verdict import plain
+from identifiability.numerals import number
 
 _MANY = 200  # repetitions, more than anyone does
 
@@ -14,18 +15,19 @@ def next_experiment_sentence(following: NextExperiment) -> str:
     best, needed = following.best, following.needed
     if following.resolved:
         return (
-            f"To tell {first} from {second}: {best.perturbation} (expected evidence "
-            f"{best.expected_evidence:.0f} a trial, {needed:.0f} is enough)."
+            f"To tell {first} from {second}: {best.perturbation}. One trial should do: its "
+            f"expected evidence is {number(best.expected_evidence, 2)}, and {number(needed, 2)} "
+            "is enough."
         )
     if following.repetitions > _MANY:
         limits = following.limits
         return (
-            f"No perturbation of {limits.torque:.2g} Nm, {limits.angle:.2g} rad and "
-            f"{limits.duration:.2g} s at most, which the trials kept to, tells {first} from "
+            f"No perturbation of {number(limits.torque, 2)} Nm, {number(limits.angle, 2)} rad and "
+            f"{number(limits.duration, 2)} s at most, which the trials kept to, tells {first} from "
             f"{second}."
         )
     return (
         f"No single perturbation within the limits tells {first} from {second}; the best is "
-        f"{best.perturbation}, with an expected evidence of {best.expected_evidence:.1f} a trial: "
-        f"about {following.repetitions} repetitions would do."
+        f"{best.perturbation}: about {following.repetitions} repetitions would do (expected "
+        f"evidence {number(best.expected_evidence, 2)} a trial, {number(needed, 2)} is enough)."
     )

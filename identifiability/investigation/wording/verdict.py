@@ -7,9 +7,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from identifiability.investigation.findings import Findings
 from identifiability.investigation.posterior.probabilities import Probabilities
 from identifiability.investigation.verdict.reasons import Reason
+from identifiability.investigation.wording.numbers import error_text, times
 from identifiability.investigation.wording.unexplained import unexplained_sentence
 from identifiability.joint.effects import DESCRIPTIONS, Effect
 from identifiability.joint.parameters import with_unit
+from identifiability.numerals import number
 
 TITLES = {
     "explained": "Explained",
@@ -25,8 +27,8 @@ TITLES = {
 
 
 def plain(key: str) -> str:
-    """An effect's key as words."""
-    return key.replace("_", " ")
+    """The key of an effect, or the name of a parameter, as words."""
+    return key.replace("_", " ").replace(".", ": ")
 
 
 def model_in_words(keys: Iterable[str]) -> str:
@@ -165,7 +167,7 @@ def because(findings: Findings) -> list[str]:
 def values_in_words(values: Mapping[str, float], units: Mapping[str, str]) -> str:
     """Parameters of one effect, by their full names, with units."""
     return ", ".join(
-        f"{plain(name.split('.')[1])} " + with_unit(f"{value:.3g}", units[name])
+        f"{plain(name.split('.')[1])} " + with_unit(number(value), units[name])
         for name, value in values.items()
     )
 
@@ -239,7 +241,7 @@ def _nearest_form(reason: Reason, findings: Findings) -> str:
 
 def _not_exact(reason: Reason, findings: Findings) -> str:
     e, unit = reason.numbers, "rad" if findings.split.driven == "torque" else "Nm"
-    size = with_unit(f"{e['size']:.2g}", unit)
+    size = with_unit(number(e["size"], 2), unit)
     return (
         f"The equations are not exact: beside them there is {size} that nothing names, "
         f"{percent(e['share'])} of the response, no more than equations right to a tenth leave."
@@ -248,7 +250,7 @@ def _not_exact(reason: Reason, findings: Findings) -> str:
 
 def _edge(reason: Reason, findings: Findings) -> str:
     name, unit = reason.remark, findings.found.final.model.parameters[reason.remark].unit
-    value = with_unit(f"{reason.numbers['value']:.3g}", unit)
+    value = with_unit(number(reason.numbers["value"]), unit)
     return (
         f"{name} lies at the edge of the values that it was allowed, {value}, and the rest "
         f"bends to that: if others are possible, allow them with --bounds {name}=LOW:HIGH."
@@ -256,18 +258,16 @@ def _edge(reason: Reason, findings: Findings) -> str:
 
 
 def _errors(reason: Reason, findings: Findings) -> str:
-    e = reason.numbers
-    noise = f"; the noise alone leaves {e['floor']:.2g}" if "floor" in e else ""
+    e = {name: error_text(error) for name, error in reason.numbers.items()}
+    noise = f"; the noise alone leaves {number(reason.numbers['floor'], 2)}" if "floor" in e else ""
     held = "held_out_before" in e
     if not findings.found.missing:
-        also = f" and {e['held_out_before']:.3g} on the held-out trials" if held else ""
-        return f"The model's error E is {e['before']:.3g} on the fitted{also}{noise}."
+        also = f" and {e['held_out_before']} on the held-out trials" if held else ""
+        return f"The model's error E is {e['before']} on the fitted{also}{noise}."
     also = ""
     if held:
-        also = (
-            f" and from {e['held_out_before']:.3g} to {e['held_out_after']:.3g} on those held out"
-        )
-    return f"E falls from {e['before']:.3g} to {e['after']:.3g} on the fitted trials{also}{noise}."
+        also = f" and from {e['held_out_before']} to {e['held_out_after']} on those held out"
+    return f"E falls from {e['before']} to {e['after']} on the fitted trials{also}{noise}."
 
 
 def _in_turn(reason: Reason, findings: Findings) -> str:
@@ -280,9 +280,11 @@ def _in_turn(reason: Reason, findings: Findings) -> str:
 def _next_best(reason: Reason, findings: Findings) -> str:
     first, name = map(plain, reason.effects)
     e = reason.numbers
+    less = "less" if e["evidence"] > 0 else "more"
     return (
-        f"In the place of {name} the next best is {first}: its log evidence is less by "
-        f"{e['evidence']:.1f} nats, its probability {percent(e['probability'])}."
+        f"In the place of {name} the next best is {first}: with it the trials are "
+        f"{times(abs(e['evidence']))} times {less} probable, and its probability is "
+        f"{percent(e['probability'])}."
     )
 
 
