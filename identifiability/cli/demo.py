@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -30,8 +29,7 @@ def add_parser(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the subcommand."""
-    from tqdm import tqdm
-
+    from identifiability.cli.clock import clock
     from identifiability.files import output_folder
     from identifiability.inference.recordings import fit_recordings
     from identifiability.inference.widths import widths
@@ -48,31 +46,21 @@ def run(options: argparse.Namespace) -> int:
     setting = Setting(K_CE, B_CE, K_SE, INERTIA)
     results = []
     trials = example_trials()
-    with tqdm(total=len(WINDOWS) + 6, unit="part", file=sys.stderr) as bar:
-        for window in WINDOWS:
-            bar.set_description(f"paper's setting, T = {1000 * window:g} ms")
-            problem = measured_problem(setting, Impulse(), window)
-            results.append(widths(problem, starts=setting.starts(), seed=1))
-            write_widths(
-                problem, results[-1], out / f"T{1000 * window:g}", f"T = {1000 * window:g} ms"
-            )
-            bar.update()
-
-        def advance(what: str, done: int, total: int) -> None:
-            bar.set_description(f"shipped trials, {what}")
-            bar.update(done > 1)
-
-        recording = fit_recordings(trials, window_lengths=WINDOWS, seed=1, progress=advance)
-        write_fit(recording, out / "trials")
-        bar.update()
-        findings = investigate(
-            trials,
-            seed=1,
-            progress=lambda what, done, total: bar.set_description(f"what is missing, {what}"),
-        )
-        write_investigation(findings, out / "investigation", command="identifiability demo")
-        write_demo(recording, findings, out)
-        bar.update()
+    said = clock("the paper's setting")
+    for i, window in enumerate(WINDOWS):
+        said(f"window of {1000 * window:g} ms", i + 1, len(WINDOWS))
+        problem = measured_problem(setting, Impulse(), window)
+        results.append(widths(problem, starts=setting.starts(), seed=1))
+        write_widths(problem, results[-1], out / f"T{1000 * window:g}", f"T = {1000 * window:g} ms")
+    recording = fit_recordings(
+        trials, window_lengths=WINDOWS, seed=1, progress=clock("the shipped trials")
+    )
+    write_fit(recording, out / "trials")
+    said = clock("what they miss")
+    findings = investigate(trials, seed=1, progress=said)
+    said("the report", 0, 1)
+    write_investigation(findings, out / "investigation", command="identifiability demo")
+    write_demo(recording, findings, out)
 
     print(demo_text(list(zip(WINDOWS, results, strict=True)), recording, findings))
     print(

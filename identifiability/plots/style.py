@@ -6,15 +6,19 @@ import io
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import wraps
+from math import log10
 from pathlib import Path
 from typing import Any, ParamSpec
 
 import matplotlib as mpl
 from cycler import cycler
 from matplotlib.axes import Axes
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure
+from matplotlib.ticker import NullFormatter
 
 from identifiability.files import replacing
+from identifiability.numerals import power_of_ten
 from identifiability.palette import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILLION
 
 CYCLE = (BLUE, VERMILLION, GREEN, ORANGE, PURPLE, SKY, BLACK)
@@ -90,6 +94,9 @@ def printed(draw: Callable[P, Figure]) -> Callable[P, Figure]:
     def drawn(*args: P.args, **kwargs: P.kwargs) -> Figure:
         with mpl.rc_context(_STYLE | _PRINT):
             figure = draw(*args, **kwargs)
+            for axes in figure.axes:
+                _powers(axes.xaxis)
+                _powers(axes.yaxis)
             # Ticks are made while drawing, and others where the layout has changed the room for
             # them; after that it is kept, being what takes the longest.
             for _ in range(2):
@@ -98,6 +105,14 @@ def printed(draw: Callable[P, Figure]) -> Callable[P, Figure]:
         return figure
 
     return drawn
+
+
+def _powers(axis: Axis) -> None:
+    """Label an axis of ratios by powers of ten as text: set as formulas they take half the time."""
+    low, high = sorted(axis.get_view_interval())
+    if axis.get_scale() == "log" and high >= 10 * low > 0:
+        axis.set_major_formatter(lambda value, _: power_of_ten(round(log10(value))))
+        axis.set_minor_formatter(NullFormatter())
 
 
 def save(figure: Figure, path: Path | str, *, dpi: int = DPI) -> Path:
