@@ -101,7 +101,9 @@ def printed(draw: Callable[P, Figure]) -> Callable[P, Figure]:
             # them; after that it is kept, being what takes the longest.
             for _ in range(2):
                 figure.draw_without_rendering()
-            figure.set_layout_engine("none")
+            # None at all: with one that does nothing, every save would draw twice.
+            with mpl.rc_context({"figure.constrained_layout.use": False}):
+                figure.set_layout_engine(None)
         return figure
 
     return drawn

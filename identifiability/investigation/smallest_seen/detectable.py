@@ -22,7 +22,7 @@ from identifiability.numerals import number
 from identifiability.progress import Progress, silent
 
 _FIRST = 0.01  # share of the nominal size that the bracket is looked for from
-_STRIDE = 8.0  # largest step of that
+_STRIDE, _LEAST_STRIDE = 8.0, 1.2  # largest and smallest step of that
 _ABOUT = 1.6  # ratio of the bracket's ends
 _USUAL = 14.0  # nats of likelihood that a claim takes
 _FURTHEST = 1e3  # from the first strength, that theirs may lead
@@ -172,7 +172,9 @@ class _Search:
                 return high
             # Evidence grows with the square of the strength, or less where noise can be its colour.
             short_of = np.sqrt(penalty / max(gain + penalty, 1e-2))
-            strength *= float(np.clip(short_of, 1 / _STRIDE, _STRIDE))
+            # Further than to where it is thought to be: what lies between two is found quickly.
+            ahead = max(abs(np.log(short_of)), np.log(_LEAST_STRIDE))
+            strength *= float(np.exp(-np.sign(gain) * min(ahead, np.log(_STRIDE))))
             if low > 0 and np.isfinite(high) and not low * _ABOUT < strength < high / _ABOUT:
                 strength = float(np.sqrt(low * high))
             strength = min(max(strength, _ABOUT * low), most)
