@@ -84,3 +84,34 @@ def study_of_a_pair(driven, keys):
         for seed, c in ((3, [(k, size * s) for k, s in CONDITIONS]), (4, HELD))
     )
     return Investigation(fitted, held, library={key: EFFECTS[key] for key in keys})
+
+
+LONG = {
+    "torque": {"cubic_stiffness.coefficient": 40.0, "cubic_stiffness.centre": 0.0},
+    "angle": {"maxwell_branch.stiffness": 15.0, "maxwell_branch.time_constant": 0.1},
+}
+_SECONDS = {"torque": 18, "angle": 48}  # of an angle fewer samples a second are compared
+
+
+def long_record(driven, smoothing=(81, 41)):
+    """A record of random steps, in many pieces, and the model that it was made with.
+
+    The steps of an imposed angle are smoothed by windows of so many samples.
+    """
+    time = np.arange(1000 * _SECONDS[driven]) / 1000
+    key = next(iter(LONG[driven])).split(".")[0]
+    model = KBI() + EFFECTS[key]()
+    rng = np.random.default_rng(5)
+    steps = np.repeat(rng.uniform(-1, 1, time.size // 150), 150)
+    if driven == "torque":
+        given = 20 * steps
+        drive = SampledTorque(given).drive(time)
+    else:
+        given = 0.1 * steps
+        for n in smoothing:
+            given = np.convolve(given, np.hanning(n) / np.hanning(n).sum(), mode="same")
+        drive = imposed_motion(time, given)
+    response = simulate(model, model.vector(JOINT | LONG[driven]), drive)
+    noisy = response + 1e-3 * np.std(response) * rng.standard_normal(time.size)
+    pair = (given, noisy) if driven == "torque" else (noisy, given)
+    return Trial(time, *pair, driven=driven, name="long"), model
