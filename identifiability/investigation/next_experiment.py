@@ -35,6 +35,7 @@ from identifiability.numerals import number
 _EVALUATIONS = 30
 _SIZES = 10  # of a perturbation that are tried until the response keeps within the limits
 _LEAD = 0.05  # [s] of rest before the perturbation
+_MOST_REPETITIONS = 200  # more than anyone does
 
 
 @dataclass(frozen=True)
@@ -109,6 +110,11 @@ class NextExperiment:
     def repetitions(self) -> int:
         """Number of trials that would do."""
         return int(np.ceil(self.needed / max(self.best.expected_evidence, 1e-3)))
+
+    @property
+    def proposed(self) -> bool:
+        """Whether so few trials would do that anyone may be advised to make them."""
+        return self.repetitions <= _MOST_REPETITIONS
 
     def to_dict(self) -> dict[str, Any]:
         """Plain record, for JSON."""

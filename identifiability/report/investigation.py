@@ -60,7 +60,7 @@ def investigation_text(findings: Findings) -> str:
     lines = [words.verdict_sentence(findings), consequence_sentence(findings), ""]
     lines += models_text(findings)
     lines += ["", *words.because(findings), "", f"Next. {next_step_sentence(findings)}"]
-    if findings.next_experiment is not None:
+    if findings.next_experiment is not None and findings.next_experiment.proposed:
         lines.append(safety_sentence(findings.next_experiment))
     if findings.posterior is not None:
         lines += ["", "probability of what may be missing:"]
@@ -139,7 +139,7 @@ def _verdict(page: Page, figures: Figures, findings: Findings) -> None:
         ("K, B and I", consequence_sentence(findings)),
         ("Next", next_step_sentence(findings)),
     ]
-    if findings.next_experiment is not None:
+    if findings.next_experiment is not None and findings.next_experiment.proposed:
         box.append(("Safety", safety_sentence(findings.next_experiment)))
     page.box(words.verdict_sentence(findings), box, kind=words.TITLES[findings.verdict.kind])
     models_table(page, findings)

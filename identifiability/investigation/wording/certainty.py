@@ -6,9 +6,9 @@ from identifiability.investigation.findings import Findings
 from identifiability.investigation.wording.verdict import likely_set, percent
 
 # Words for probabilities, as the IPCC's guidance on uncertainty has them (Mastrandrea et al. 2010).
+# Its strongest, "virtually certain" and "extremely likely", are more than blind cases bear out, in
+# which nine of ten names were right.
 _WORDS = (
-    (0.99, "virtually certain"),
-    (0.95, "extremely likely"),
     (0.90, "very likely"),
     (0.66, "likely"),
     (0.33, "about as likely as not"),

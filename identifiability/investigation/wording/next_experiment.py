@@ -6,8 +6,6 @@ from identifiability.investigation.next_experiment import NextExperiment
 from identifiability.investigation.wording.verdict import plain
 from identifiability.numerals import number
 
-_MANY = 200  # repetitions, more than anyone does
-
 
 def next_experiment_sentence(following: NextExperiment) -> str:
     """Which perturbation to use, and what it would bring."""
@@ -19,7 +17,7 @@ def next_experiment_sentence(following: NextExperiment) -> str:
             f"expected evidence is {number(best.expected_evidence, 2)}, and {number(needed, 2)} "
             "is enough."
         )
-    if following.repetitions > _MANY:
+    if not following.proposed:
         limits = following.limits
         return (
             f"No perturbation of {number(limits.torque, 2)} Nm, {number(limits.angle, 2)} rad and "
