@@ -335,7 +335,8 @@ class Evaluator:
             x = self.fitted(problem, points, weights, further)
             points = x[None]
             orders = self.plain if i + 1 < rounds else self.orders if i + 1 == rounds else ()
-            tried = (*orders, *weights.contenders[:1], *also * (i < rounds))
+            elsewhere = also if i < rounds else ()
+            tried = (*orders, *weights.contenders[:1], *elsewhere)
             weights = self.reference.weights(raw_residuals(problem, self.band, x)[0], tried)
             found = self.evaluated(problem, x, weights, refined, tried)
             if best is not None:
