@@ -61,15 +61,19 @@ def ratios_by_time(panel: Axes, largest: float, noise_known: bool) -> None:
     panel.set_xlabel("time since the perturbation [ms]")
 
 
-def room_above(panel: Axes, logarithmic: float, linear: float) -> None:
-    """Stretch the vertical axis upward by one factor or the other."""
+def room_above(panel: Axes, share: float) -> None:
+    """Stretch the vertical axis upward by a share of its height."""
     low, high = panel.get_ylim()
-    panel.set_ylim(low, high * (logarithmic if panel.get_yscale() == "log" else linear))
+    if panel.get_yscale() == "log":
+        panel.set_ylim(low, high * (high / low) ** share)
+    else:
+        panel.set_ylim(low, high + share * (high - low))
 
 
 def legend_above(panel: Axes) -> None:
     """Draw the legend above the curves."""
-    room_above(panel, 4.0, 1.3)
+    rows = len(panel.get_legend_handles_labels()[1])
+    room_above(panel, 0.05 + 0.2 * rows)
     panel.legend(loc="upper right")
 
 

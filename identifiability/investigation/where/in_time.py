@@ -97,7 +97,7 @@ class TimeView(View):
         points(panel, 500 * (self.edges[:-1] + self.edges[1:]), sizes, self.flags)
         ratios_by_time(panel, float(sizes.max()), self.noise_known)
         if self.latency:
-            room_above(panel, 2.0, 1.0)
+            room_above(panel, 0.1)
             panel.axvline(1000 * self.latency, color=VERMILLION)
             late = self.latency > np.mean(self.edges[[0, -1]])
             panel.annotate(
