@@ -61,7 +61,7 @@ _STYLE: Any = {
 
 # No letter below 7 points, at the width that is printed.
 _PRINT: Any = {
-    "figure.dpi": 130,  # in notebooks
+    "figure.dpi": 100,  # in notebooks
     "font.size": 7.5,
     "axes.titlesize": 8,
     "axes.labelsize": 7.5,
