@@ -15,7 +15,7 @@ from cycler import cycler
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
-from matplotlib.ticker import NullFormatter
+from matplotlib.ticker import LogFormatterSciNotation, NullFormatter
 
 from identifiability.files import replacing
 from identifiability.numerals import power_of_ten
@@ -111,9 +111,13 @@ def printed(draw: Callable[P, Figure]) -> Callable[P, Figure]:
 
 
 def _powers(axis: Axis) -> None:
-    """Label an axis of ratios by powers of ten as text: set as formulas they take half the time."""
+    """Label an axis of ratios by powers of ten as text: set as formulas they take half the time.
+
+    One that was given labels of its own keeps them.
+    """
     low, high = sorted(axis.get_view_interval())
-    if axis.get_scale() == "log" and high >= 10 * low > 0:
+    own = not isinstance(axis.get_major_formatter(), LogFormatterSciNotation)
+    if axis.get_scale() == "log" and not own and high >= 10 * low > 0:
         axis.set_major_formatter(lambda value, _: power_of_ten(round(log10(value))))
         axis.set_minor_formatter(NullFormatter())
 

@@ -60,8 +60,8 @@ def investigation_text(findings: Findings) -> str:
     lines = [words.verdict_sentence(findings), consequence_sentence(findings), ""]
     lines += models_text(findings)
     lines += ["", *words.because(findings), "", f"Next. {next_step_sentence(findings)}"]
-    if findings.next_experiment is not None and findings.next_experiment.proposed:
-        lines.append(safety_sentence(findings.next_experiment))
+    if safety := safety_sentence(findings):
+        lines.append(safety)
     if findings.posterior is not None:
         lines += ["", "probability of what may be missing:"]
     for one in () if findings.posterior is None else findings.posterior.rows[:_ROWS]:
@@ -139,8 +139,8 @@ def _verdict(page: Page, figures: Figures, findings: Findings) -> None:
         ("K, B and I", consequence_sentence(findings)),
         ("Next", next_step_sentence(findings)),
     ]
-    if findings.next_experiment is not None and findings.next_experiment.proposed:
-        box.append(("Safety", safety_sentence(findings.next_experiment)))
+    if safety := safety_sentence(findings):
+        box.append(("Safety", safety))
     page.box(words.verdict_sentence(findings), box, kind=words.TITLES[findings.verdict.kind])
     models_table(page, findings)
     if _is_unknown(findings):
@@ -313,11 +313,11 @@ def _parameters(page: Page, figures: Figures, findings: Findings) -> None:
         "Widths over values of all parameters: with all others held (slice), by the Hessian "
         "(quadratic), by the profile likelihood, and of the sampled posterior; in brackets, what "
         "the posterior says of the quadratic one.",
-        f"Widths of {_trials_of(found)} by four estimates, on one logarithmic axis.",
+        f"Widths of {_names(found)} by four estimates, on one logarithmic axis.",
     )
 
 
-def _trials_of(found: Widths) -> str:
+def _names(found: Widths) -> str:
     return ", ".join(words.plain(row.name) for row in found.rows)
 
 

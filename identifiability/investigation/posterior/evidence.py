@@ -242,10 +242,9 @@ class Evaluator:
     ) -> Iterator[tuple[np.ndarray, Weights]]:
         """Points and noise to fit a model from: see `evaluate`."""
         own, white = self.starts
-        points = inside(problem, np.array([problem.free_vector(values) for values in starts]))
         # A single start that is to be resolved is where a fit of all samples ended.
-        if self.coarse is None or (resolved and len(points) == 1):
-            beginnings = Beginnings.of(problem, self.band, points)
+        if self.coarse is None or (resolved and len(starts) == 1):
+            beginnings = self._beginnings(problem, starts)
             for weights in (noise or own, white):
                 yield beginnings.best(weights, _CARRIED), weights
             return
@@ -254,6 +253,10 @@ class Evaluator:
         points = inside(problem, problem.free_vector(begun.values)[None])
         # Not the noise of what is left there: more, and of another colour, than at the optimum.
         yield points, self.reference.adopted(begun.weights)
+
+    def _beginnings(self, problem: Problem, starts: Sequence[Mapping[str, float]]) -> Beginnings:
+        points = np.array([problem.free_vector(values) for values in starts])
+        return Beginnings.of(problem, self.band, inside(problem, points))
 
     def _roughly(
         self,
@@ -267,8 +270,7 @@ class Evaluator:
         problem = self.band.problem(
             model, refined=refined, scheme=scheme, probes=self.reference.probes
         )
-        points = np.array([problem.free_vector(values) for values in starts])
-        beginnings = Beginnings.of(problem, self.band, inside(problem, points))
+        beginnings = self._beginnings(problem, starts)
         ends = [
             self.settled(
                 problem,
@@ -355,8 +357,7 @@ class Evaluator:
         if self.coarse is not None:
             return self.coarse.begun(model, starts)
         problem = self.band.problem(model, probes=self.reference.probes)
-        points = np.array([problem.free_vector(values) for values in starts])
-        beginnings = Beginnings.of(problem, self.band, inside(problem, points))
+        beginnings = self._beginnings(problem, starts)
         best = beginnings.best(self.white, _CARRIED)
         return Begun(problem, best, Weighed(problem, self.band, self.white).squares(best[0]))
 

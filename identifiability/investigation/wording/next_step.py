@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from identifiability.investigation.findings import Findings
-from identifiability.investigation.next_experiment import NextExperiment
 from identifiability.investigation.wording.next_experiment import next_experiment_sentence
 from identifiability.numerals import number
 
@@ -49,8 +48,11 @@ def next_step_sentence(findings: Findings) -> str:
     return next_experiment_sentence(following)
 
 
-def safety_sentence(following: NextExperiment) -> str:
-    """What a proposed perturbation keeps to, and what must be kept to when it is tried."""
+def safety_sentence(findings: Findings) -> str:
+    """What a proposed perturbation keeps to, and what else must be; empty where none is."""
+    following = findings.next_experiment
+    if following is None or not following.proposed:
+        return ""
     limits = following.limits
     return (
         f"It keeps to {number(limits.torque, 2)} Nm, {number(limits.angle, 2)} rad and "
