@@ -63,6 +63,12 @@ def no_smallest_effects(monkeypatch):
     monkeypatch.setattr(Investigation, "smallest_seen", lambda *args, **options: ())
 
 
+@pytest.fixture
+def shown_alone(monkeypatch):
+    """Reports whose figures are drawn for the page alone, and not in all formats beside it."""
+    monkeypatch.setattr("identifiability.plots.style.PRINTED_AS", (".svg",))
+
+
 @pytest.fixture(scope="session")
 def shared_data():
     """Folder of the recordings that are not part of this repository."""

@@ -17,6 +17,7 @@ from identifiability.inference.fitting import fit
 from identifiability.inference.widths import VERDICTS
 from identifiability.measurement.perturbations import PERTURBATIONS
 from identifiability.plots.atlas import drawings
+from identifiability.plots.style import save
 from identifiability.provenance import code_fingerprint, read_record
 from identifiability.report.atlas import MOST_LISTED, page
 from identifiability.study.atlas import N_DRAWS, Cell, Plan, plan_from, read_plan, run_atlas
@@ -330,7 +331,7 @@ def test_every_figure_can_be_drawn_whatever_failed(plan, failing, tmp_path):
         rows = 3 if one.stem.startswith("optimum") else len(plan.perturbations)
         panels = [axes for axes in figure.axes if axes.images]
         assert len(panels) == (rows * columns if one.kind == "map" else 0)
-        figure.savefig(tmp_path / "figure.png")
+        save(figure, tmp_path / "figure.png")
 
 
 def test_spread_is_held_against_its_predictions(plan):

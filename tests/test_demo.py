@@ -12,7 +12,7 @@ from identifiability.measurement.example import B_CE, INERTIA, K_CE, K_SE
 ROOT = Path(__file__).resolve().parents[1]
 
 
-@pytest.mark.usefixtures("few_effects")
+@pytest.mark.usefixtures("few_effects", "shown_alone")
 def test_the_demo_finds_the_joint_that_was_made(tmp_path, capfd, monkeypatch):
     monkeypatch.setattr(perturbations, "WINDOWS", (0.1, 0.2))
     out = tmp_path / "demo"

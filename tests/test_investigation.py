@@ -384,7 +384,7 @@ def write(folder, trial):
     return path
 
 
-@pytest.mark.usefixtures("few_effects")
+@pytest.mark.usefixtures("few_effects", "shown_alone")
 def test_the_command_finds_a_hidden_effect(tmp_path, capsys):
     values = JOINT | {"series_tendon.stiffness": 60.0}
     hidden = KBI() + EFFECTS["series_tendon"]()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import wraps
@@ -15,7 +16,7 @@ from cycler import cycler
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogFormatterSciNotation, NullFormatter
+from matplotlib.ticker import LogFormatterSciNotation, NullFormatter, ScalarFormatter
 
 from identifiability.files import replacing
 from identifiability.numerals import power_of_ten
@@ -95,9 +96,7 @@ def printed(draw: Callable[P, Figure]) -> Callable[P, Figure]:
     def drawn(*args: P.args, **kwargs: P.kwargs) -> Figure:
         with mpl.rc_context(_STYLE | _PRINT):
             figure = draw(*args, **kwargs)
-            for axes in figure.axes:
-                _powers(axes.xaxis)
-                _powers(axes.yaxis)
+            _label_by_text(figure)
             # Ticks are made while drawing, and others where the layout has changed the room for
             # them; after that it is kept, being what takes the longest.
             for _ in range(2):
@@ -110,14 +109,33 @@ def printed(draw: Callable[P, Figure]) -> Callable[P, Figure]:
     return drawn
 
 
-def _powers(axis: Axis) -> None:
-    """Label an axis of ratios by powers of ten as text: set as formulas they take half the time.
+class _Numbers(ScalarFormatter):
+    """Numbers of ticks whose common power of ten is text."""
 
-    One that was given labels of its own keeps them.
-    """
+    def get_offset(self) -> str:
+        """Common power of ten, and what is added to all."""
+
+        def as_text(found: re.Match[str]) -> str:
+            power = power_of_ten(int(found[1].replace("−", "-") + found[2]))
+            return power if found.start() else f"×{power}"
+
+        return re.sub(r"(?<![\d.])1e([−-]?)(\d+)", as_text, super().get_offset())
+
+
+def _label_by_text(figure: Figure) -> None:
+    """Have no formulas at ticks: their numbers would take half the time of a figure."""
+    for axes in figure.axes:
+        for axis in (axes.xaxis, axes.yaxis):
+            _as_text(axis)
+
+
+def _as_text(axis: Axis) -> None:
+    """Label an axis by text, unless it was given labels of its own."""
+    formatter = axis.get_major_formatter()
     low, high = sorted(axis.get_view_interval())
-    own = not isinstance(axis.get_major_formatter(), LogFormatterSciNotation)
-    if axis.get_scale() == "log" and not own and high >= 10 * low > 0:
+    if type(formatter) is ScalarFormatter and axis.isDefault_majfmt:
+        axis.set_major_formatter(_Numbers(useMathText=False))
+    elif isinstance(formatter, LogFormatterSciNotation) and high >= 10 * low > 0:
         axis.set_major_formatter(lambda value, _: power_of_ten(round(log10(value))))
         axis.set_minor_formatter(NullFormatter())
 
@@ -146,6 +164,7 @@ def save(figure: Figure, path: Path | str, *, dpi: int = DPI) -> Path:
     }
     # Ticks are made while drawing, so the style is needed here too.
     with styled(), replacing(path) as temporary:
+        _label_by_text(figure)
         figure.savefig(temporary, dpi=dpi, metadata=metadata.get(path.suffix))
     return path
 
