@@ -2,12 +2,15 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from hidden import JOINT, LONG, long_record
 
 from identifiability.inference.starts import starting_values
+from identifiability.investigation.posterior import band
 from identifiability.investigation.posterior.band import band_of
 from identifiability.investigation.posterior.reference import evaluator_of
+from identifiability.joint.model import KBI
 
 
 @pytest.mark.parametrize("driven", ["torque", "angle"])
@@ -47,3 +50,22 @@ def test_noise_and_fit_go_on_in_turn_until_that_brings_nothing_more():
     off = abs(two.values["K"] - all_of_them.values["K"])
     assert off > 10 * two.sds["K"]
     assert abs(all_of_them.values["K"] - JOINT["K"]) < 0.1 * off
+
+
+def test_a_few_pieces_tell_how_much_noise_a_model_makes_of_an_angle(monkeypatch):
+    trial, _ = long_record("angle", smoothing=(21, 11))
+    noise = 3e-4 * np.random.default_rng(3).standard_normal(trial.angle.size)
+    noisy = replace(trial, angle=trial.angle + noise)
+    found = []
+    for most in (2048, 10**9):
+        monkeypatch.setattr(band, "_MOST_PROBED", most)
+        evaluator = replace(evaluator_of(band_of([noisy], []), JOINT), coarse=None)
+        one = evaluator.evaluate(KBI(), [JOINT], resolved=False)
+        found.append((len(evaluator.reference.probes), one))
+    (few, one), (every, other) = found
+    assert few < 0.5 * every
+    # The noise is told from the response's own by what it adds, which decides here.
+    assert one.weights.excess > 1000
+    assert one.log_evidence == pytest.approx(other.log_evidence, abs=0.5)
+    for name, sd in other.sds.items():
+        assert abs(one.values[name] - other.values[name]) < 0.2 * sd

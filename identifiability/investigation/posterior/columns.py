@@ -147,7 +147,9 @@ def _compared(band: Band, n: int, by_trial: list[np.ndarray]) -> Columns:
         else []
         for each in (by_trial[:n], by_trial[n:])
     )
-    return Columns(there, [b - a for a, b in zip(there, probed, strict=False)])
+    counts = np.isin(np.arange(len(there)), band.probed_ones)
+    changed = zip(there, probed, counts, strict=False)
+    return Columns(there, [counted * (b - a) for a, b, counted in changed])
 
 
 def inconstant(band: Band, found: Evaluated) -> tuple[Columns, float]:

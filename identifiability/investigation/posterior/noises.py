@@ -135,7 +135,10 @@ class Weights:
 def raw_residuals(
     problem: Problem, band: Band, x: np.ndarray
 ) -> tuple[list[np.ndarray], list[np.ndarray] | None]:
-    """Residual and its derivatives by stretch, side by side; the same of what probes change."""
+    """Residual and its derivatives by stretch, side by side; the same of what probes change.
+
+    That is 0 in stretches that are not probed.
+    """
     n, rows = len(problem.observations), len(band.observations)
     residuals = problem.by_observation(problem.residuals(x)[:, None])
     both = np.concatenate([residuals, problem.by_observation(problem.jacobian(x))], axis=2)
@@ -143,7 +146,9 @@ def raw_residuals(
     trials = band.stretches(both[:rows])
     if n == rows:
         return trials, None
-    return trials, band.stretches(both[rows:n] - both[:rows])
+    changed = np.zeros_like(both[:rows])
+    changed[band.probed_ones] = both[rows:n] - both[band.probed_ones]
+    return trials, band.stretches(changed)
 
 
 @dataclass(frozen=True, eq=False)
