@@ -94,6 +94,7 @@ from .measurement.readers.trial_file import read_trial
 from .measurement.trials import Trial, onsets
 from .plots.across import across_figure
 from .plots.corner import corner_figure
+from .plots.effects import look_alikes_figure
 from .plots.investigation import alone_figure, ladder_figure, widths_figure
 from .plots.investigation_unexplained import unexplained_figure
 from .plots.investigation_where import comparison_figure, responses_figure, where_figure
@@ -263,6 +264,7 @@ __all__ = [  # noqa: RUF022 -- in the order of use
     "where_figure",
     "responses_figure",
     "rivals_figure",
+    "look_alikes_figure",
     "across_figure",
     "overlay_figure",
     "windows_figure",

@@ -3,8 +3,12 @@
 import re
 from pathlib import Path
 
+import numpy as np
+import pytest
+
 from identifiability.cli.main import main
 from identifiability.joint.effects import DESCRIPTIONS, EFFECTS
+from identifiability.plots.effects import look_alikes_figure
 from identifiability.report.effects import effects_page
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
@@ -33,3 +37,25 @@ def test_the_command_lists_them_and_writes_the_page(tmp_path, capsys):
     assert all(key in said for key in EFFECTS)
     assert main(["effects", "--out", str(tmp_path / "docs")]) == 0
     assert {p.name for p in (tmp_path / "docs").iterdir()} == {"effects.md", "effects.svg"}
+
+
+def curves(key):
+    """By experiment, what is drawn: by label, of the effect first."""
+    for panel in look_alikes_figure(key, EFFECTS).axes:
+        yield {one.get_label(): one.get_ydata() for one in panel.lines if one.get_label()[0] != "_"}
+
+
+@pytest.mark.parametrize("key", ["gravity", "coulomb_friction"])
+def test_an_effect_is_drawn_beside_its_look_alikes(key):
+    for drawn in curves(key):
+        assert list(drawn) == [k.replace("_", " ") for k in (key, *EFFECTS[key].confused_with)]
+        for values in drawn.values():
+            assert np.max(np.abs(values)) == pytest.approx(1.0)
+
+
+def test_the_imposed_motion_decides_what_can_be_told_apart():
+    """The torque of gravity is a line and a cube of an imposed angle; under a torque both move."""
+    torque, angle = curves("gravity")
+    for drawn, alike in ((torque, False), (angle, True)):
+        apart = np.abs(drawn["gravity"] - drawn["cubic stiffness"])
+        assert (np.max(apart) < 0.1) == alike

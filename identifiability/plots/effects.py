@@ -1,4 +1,4 @@
-"""The gallery of effects: what each does to the response of one joint."""
+"""The gallery of effects: what each does to the response of one joint, and what does nearly so."""
 
 from __future__ import annotations
 
@@ -8,17 +8,19 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from identifiability.joint.effects import Effect
-from identifiability.joint.model import KBI
+from identifiability.joint.model import KBI, Model
 from identifiability.joint.response import simulate
-from identifiability.measurement.perturbations import SampledTorque
+from identifiability.measurement.perturbations import Drive, SampledTorque, imposed_motion
 from identifiability.palette import BLUE, GREY
-from identifiability.plots.style import styled
+from identifiability.plots.style import MODEL_COLOURS, PAGE, printed, styled
 
 JOINT = {"K": 30.0, "B": 1.0, "I": 0.1}
 """K [Nm/rad], B [Nms/rad] and I [kg m²] of the joint that is drawn."""
 
 _TIME = np.arange(1200) / 1000
 _COLUMNS = 3
+_SMOOTHING = 151  # samples over which a servo moves
+_ANGLE = 0.1  # rad, of the imposed step
 
 
 def gallery_figure(effects: Mapping[str, type[Effect]]) -> Figure:
@@ -52,3 +54,70 @@ def gallery_figure(effects: Mapping[str, type[Effect]]) -> Figure:
             fontsize=11,
         )
     return figure
+
+
+@printed
+def look_alikes_figure(key: str, effects: Mapping[str, type[Effect]]) -> Figure:
+    """What K, B and I cannot do of an effect, beside what is confused with it.
+
+    A pulse and a step of torque on the left, of angle on the right. Each effect has its typical
+    values; of what it changes, the best K, B and I take their share, and the rest is drawn with its
+    largest value as 1, turned so that it goes as the effect does.
+
+    Parameters
+    ----------
+    key : str
+        Of the effect.
+    effects : mapping of str to type of Effect
+
+    Raises
+    ------
+    KeyError
+        Where there is no such effect.
+    """
+    kind = effects[key]
+    shown = [key, *(k for k in kind.confused_with if k in effects)]
+    figure = Figure(figsize=(PAGE, 1.8))
+    panels = figure.subplots(1, 2, sharex=True, sharey=True)
+    for panel, drive, imposed in zip(panels, _drives(), ("torque", "angle"), strict=True):
+        first = None
+        for one, colour in zip(shown, MODEL_COLOURS, strict=False):
+            rest = _beyond_the_joint(KBI() + effects[one](), drive)
+            if first is None:
+                first = rest
+            turned = np.sign(first @ rest) or 1.0
+            dashed = "-" if one == key else "--"
+            label = one.replace("_", " ")
+            panel.plot(_TIME, turned * rest, dashed, color=colour, label=label)
+        panel.axhline(0.0, color=GREY, lw=0.6, zorder=0)
+        panel.set_title(f"{imposed} imposed")
+        panel.set_xlabel("time [s]")
+    panels[0].set_ylabel("change beyond\nK, B and I, largest 1")
+    figure.legend(*panels[0].get_legend_handles_labels(), loc="outside upper center", ncols=5)
+    return figure
+
+
+def _drives() -> tuple[Drive, Drive]:
+    """A pulse, then a step: of torque, and of angle by a servo."""
+    pulse, step = (_TIME > 0.05) & (_TIME <= 0.1), _TIME > 0.6
+    torque = SampledTorque(8.0 * pulse + 4.0 * step).drive(_TIME)
+    window = np.hanning(_SMOOTHING)
+    there = _ANGLE * (((_TIME > 0.1) & (_TIME <= 0.3)) + 1.0 * step)
+    ends = np.pad(there, _SMOOTHING // 2, mode="edge")
+    angle = np.convolve(ends, window / window.sum(), mode="valid")
+    return torque, imposed_motion(_TIME, angle)
+
+
+def _beyond_the_joint(model: Model, drive: Drive) -> np.ndarray:
+    """Change by a model's effect, without what changes of K, B and I do; largest value 1."""
+    plain = KBI()
+    values = dict(zip(model.parameter_names, model.nominal, strict=True)) | JOINT
+    base = simulate(plain, plain.vector(JOINT), drive)
+    changed = simulate(model, model.vector(values), drive) - base
+    slopes = [
+        simulate(plain, plain.vector(JOINT | {name: 1.001 * JOINT[name]}), drive) - base
+        for name in JOINT
+    ]
+    columns = np.column_stack([slope / np.linalg.norm(slope) for slope in slopes])
+    rest = changed - columns @ np.linalg.lstsq(columns, changed, rcond=None)[0]
+    return rest / np.max(np.abs(rest))

@@ -35,7 +35,8 @@ def effects_page(
         "your own is one\nmore such class ([example](../notebooks/06_your_own_effect.ipynb)).",
         "![what each effect does to a pulse and a step](effects.svg)",
         "*One joint (K 30 Nm/rad, B 1 Nms/rad, I 0.1 kg m²), without and with every effect at its "
-        "typical values.*",
+        "typical values. Beside its\nlook-alikes, in both experiments, each of them is in "
+        "[a notebook](../notebooks/08_gallery_of_effects.ipynb).*",
     ]
     for kind in effects.values():
         parts += _section(kind, effects)
