@@ -124,7 +124,7 @@ def test_two_models_side_by_side(session):
     one, other = session.compare(right, wrong), session.compare(wrong, right)
     assert one.nats == -other.nats > 100
     assert one.probability == pytest.approx(1 - other.probability)
-    assert "is more probable than K, B, I by" in repr(one)
+    assert "is more probable than K, B, I: more than 99.9 %" in repr(one)
     assert repr(one) == repr(other)
     # The curves are those of the two models' own simulations.
     rivals = one.rivals

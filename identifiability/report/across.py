@@ -15,6 +15,7 @@ from identifiability.joint.parameters import plus_minus
 from identifiability.provenance import stamp
 from identifiability.report.markdown import number, table, words
 
+NATS = "With 3 nats more a set is 20 times as probable, with 7 a thousand times."
 _SETS = 8  # that are listed
 
 
@@ -94,7 +95,7 @@ def across_sections(record: Mapping[str, Any], picture: str) -> list[str]:
         f"{record['degrees']} degrees of freedom, p = {number(record['p'], 2)}.",
         "Each record predicted by the fits of all, K and B carried over too: variance accounted "
         "for [%]; at last the log evidence of the effects in the record itself, above K, B and I "
-        "alone [nats].",
+        f"alone [nats]. {NATS}",
         table(["record", *(f"by {n}" for n in names), "evidence"], predicted),
         f"![Parameters by record]({picture})",
     ]
@@ -121,8 +122,8 @@ def _weighed(weighed: Sequence[Mapping[str, Any]], names: Sequence[str]) -> list
     ]
     return [
         "What may be missing, by all records together; of each its log evidence above K, B and I "
-        "alone [nats]. The sets are those that came near in any record; that something unknown is "
-        "missing in all is not weighed.",
+        f"alone [nats]. {NATS} The sets are those that came near in any record; that something "
+        "unknown is missing in all is not weighed.",
         table(["missing", "probability", *names], rows),
     ]
 

@@ -13,6 +13,7 @@ from identifiability.joint.parameters import plus_minus, with_unit
 from identifiability.plots.investigation_where import responses_figure
 from identifiability.plots.rivals import rivals_figure
 from identifiability.plots.style import png_of
+from identifiability.report.across import NATS
 from identifiability.workbench.attempt import Attempt, Ranked
 from identifiability.workbench.difference import Difference
 from identifiability.workbench.session import Session
@@ -30,8 +31,8 @@ def difference_sentence(difference: Difference) -> str:
     unit = "rad" if rivals.split.driven == "torque" else "Nm"
     share = float(np.sqrt(np.mean(gap**2) / np.mean(ready.compared**2)))
     return (
-        f"{likely.name} is more probable than {other.name} by {abs(difference.nats):.1f} nats "
-        f"({percent(likelier)}, if one of the two is right); they differ most in "
+        f"{likely.name} is more probable than {other.name}: {percent(likelier)}, if one of the two "
+        f"is right ({abs(difference.nats):.1f} nats); they differ most in "
         f"{ready.trial.name} at {rivals.time:.3g} s, by {np.abs(gap).max():.2g} {unit}, and by "
         f"{100 * share:.2g} % of the response over that trial."
     )
@@ -66,11 +67,9 @@ def ranking_html(ranking: Sequence[Ranked]) -> str:
     """Effects by what each would bring."""
     if not ranking:
         return "<p>Beside this model nothing was ranked yet: rank() does.</p>"
-    return _table(
-        ["one effect more", "evidence gained [nats]", "E fitted", "E held out", ""],
-        [_ranked_row(one) for one in ranking],
-        (0, 4),
-    )
+    rows = [_ranked_row(one) for one in ranking]
+    head = ["one effect more", "evidence gained [nats]", "E fitted", "E held out", ""]
+    return _table(head, rows, (0, 4)) + f"<p>{NATS}</p>"
 
 
 def difference_html(difference: Difference) -> str:
