@@ -14,15 +14,16 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
+import scipy.optimize
 from scipy.signal import lfilter
 
 from identifiability.files import plain
 from identifiability.inference.likelihood.processes import Process, ProcessSum
 from identifiability.inference.likelihood.profiled import (
     Residuals,
-    least_squares,
     polynomial,
     scaled_residuals,
+    slopes,
 )
 
 _ARMA = ((0, 0), (1, 0), (0, 1), (1, 1), (2, 0), (2, 1), (2, 2), (3, 3))
@@ -30,11 +31,13 @@ _ARMA = ((0, 0), (1, 0), (0, 1), (1, 1), (2, 0), (2, 1), (2, 2), (3, 3))
 _MOST_SAMPLES, _CHUNK = 4000, 1000  # from which the colour is estimated
 _LONG_AR = 16  # order of the autoregression whose residuals stand for the shocks
 _MOST_CORRELATED = 5.0  # bound of atanh of a partial autocorrelation
-# Of carried to own variance, to start from: where next to nothing is carried, more has no slope.
-_SHARES = np.geomspace(1e-2, 1e6, 5)
-_MOST_CARRIED = 10.0  # logarithm of carried over own, of deviations; least of it with a minus
+_SHARES = np.geomspace(1e-6, 1e6, 7)  # of carried to own variance, to start from
+_MOST_CARRIED = 0.5 * np.log(_SHARES[-1]) + 3  # logarithm of carried over own, of deviations
 _HELD_ROUNDS, _AS_KNOWN = 6, 1.02  # of own beside known noise; times what there is of that
+_ITERATIONS = 30
+_STEP, _INSIDE = 1e-5, 1e-3  # of differences; from bounds, to start at
 _SAME_DIRECTION = 1e-8  # length of a direction, over the longest, from which it is one
+_HUGE = 1e10  # stands for a noise without likelihood
 _SHORTLIST = 3
 _NO_PROCESS = (np.ones(1), np.zeros(1))
 
@@ -389,18 +392,41 @@ class _Sample:
         With the share of the carried noise `held` where it is.
         """
         n_free = order.size - held
+        tail = start[n_free:]
         if not n_free:
             return start, self.cost(order, start, restricted=restricted), True
+        left = self._left(order, restricted)
+
+        # The optimiser needs lengths and angles alone. With the residual along the first of few
+        # axes these are cheaper to have than with one axis a sample.
+        def along(values: np.ndarray) -> np.ndarray:
+            found, _ = scaled_residuals(np.append(values, tail), left)
+            return np.append(min(float(np.sqrt(found @ found)), _HUGE), np.zeros(n_free))
+
+        def change(values: np.ndarray) -> np.ndarray:
+            found: np.ndarray = slopes(np.append(values, tail), left, n_free, _STEP)
+            return found
+
         lower = np.full(order.size, -_MOST_CORRELATED)
         upper = -lower
         if order.carried:
-            lower[-1], upper[-1] = -_MOST_CARRIED, _MOST_CARRIED
-        left = self._left(order, restricted)
+            lower[-1] = 0.5 * np.log(_SHARES[0]) - 3
+            upper[-1] = _MOST_CARRIED
+        lower, upper = lower[:n_free], upper[:n_free]
         try:
-            best, ended = least_squares(start, left, lower[:n_free], upper[:n_free])
+            found = scipy.optimize.least_squares(
+                along,
+                np.clip(start[:n_free], lower + _INSIDE, upper - _INSIDE),
+                jac=change,
+                bounds=(lower, upper),
+                max_nfev=_ITERATIONS,
+                ftol=1e-5,
+                xtol=1e-3,
+            )
         except np.linalg.LinAlgError:
             return start, np.inf, False
-        return best, self.cost(order, best, restricted=restricted), bool(ended)
+        best = np.append(found.x, tail)
+        return best, self.cost(order, best, restricted=restricted), bool(found.status > 0)
 
 
 def _reflections(pieces: Sequence[np.ndarray], order: int) -> np.ndarray:
