@@ -10,12 +10,12 @@ from identifiability.files import plain
 from identifiability.investigation.across.agreement import Across
 from identifiability.investigation.across.weighed import SetAcross
 from identifiability.investigation.wording.across import across_sentences
+from identifiability.investigation.wording.numbers import NATS
 from identifiability.investigation.wording.verdict import percent
 from identifiability.joint.parameters import plus_minus
 from identifiability.provenance import stamp
 from identifiability.report.markdown import number, table, words
 
-NATS = "With 3 nats more a set is 20 times as probable, with 7 a thousand times."
 _SETS = 8  # that are listed
 
 

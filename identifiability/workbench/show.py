@@ -8,12 +8,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from identifiability.investigation.wording.numbers import NATS
 from identifiability.investigation.wording.verdict import percent
 from identifiability.joint.parameters import plus_minus, with_unit
 from identifiability.plots.investigation_where import responses_figure
 from identifiability.plots.rivals import rivals_figure
 from identifiability.plots.style import png_of
-from identifiability.report.across import NATS
 from identifiability.workbench.attempt import Attempt, Ranked
 from identifiability.workbench.difference import Difference
 from identifiability.workbench.session import Session

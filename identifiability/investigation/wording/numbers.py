@@ -7,6 +7,9 @@ from math import exp, floor, log, log10
 from identifiability.joint.parameters import Parameter, plus_minus, with_unit
 from identifiability.numerals import PLAIN, fixed, number, power_of_ten
 
+NATS = "With 3 nats more something is 20 times as probable, with 7 a thousand times."
+"""Below tables in nats."""
+
 _NOTHING = 1e-6  # share of its usual value that is no value
 _NARROW = 1e-3  # share of a value from which a width is given in per cent
 _FEW = 1000.0  # times, until which a ratio is written out
