@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -80,12 +80,9 @@ def look_alikes_figure(key: str, effects: Mapping[str, type[Effect]]) -> Figure:
     figure = Figure(figsize=(PAGE, 1.8))
     panels = figure.subplots(1, 2, sharex=True, sharey=True)
     for panel, drive, imposed in zip(panels, _drives(), ("torque", "angle"), strict=True):
-        first = None
-        for one, colour in zip(shown, MODEL_COLOURS, strict=False):
-            rest = _beyond_the_joint(KBI() + effects[one](), drive)
-            if first is None:
-                first = rest
-            turned = np.sign(first @ rest) or 1.0
+        rests = _beyond_the_joint([KBI() + effects[one]() for one in shown], drive)
+        for one, rest, colour in zip(shown, rests, MODEL_COLOURS, strict=False):
+            turned = np.sign(rests[0] @ rest) or 1.0
             dashed = "-" if one == key else "--"
             label = one.replace("_", " ")
             panel.plot(_TIME, turned * rest, dashed, color=colour, label=label)
@@ -108,16 +105,19 @@ def _drives() -> tuple[Drive, Drive]:
     return torque, imposed_motion(_TIME, angle)
 
 
-def _beyond_the_joint(model: Model, drive: Drive) -> np.ndarray:
-    """Change by a model's effect, without what changes of K, B and I do; largest value 1."""
+def _beyond_the_joint(models: Sequence[Model], drive: Drive) -> list[np.ndarray]:
+    """Changes by models' effects, without what changes of K, B and I do; largest value 1."""
     plain = KBI()
-    values = dict(zip(model.parameter_names, model.nominal, strict=True)) | JOINT
     base = simulate(plain, plain.vector(JOINT), drive)
-    changed = simulate(model, model.vector(values), drive) - base
     slopes = [
         simulate(plain, plain.vector(JOINT | {name: 1.001 * JOINT[name]}), drive) - base
         for name in JOINT
     ]
     columns = np.column_stack([slope / np.linalg.norm(slope) for slope in slopes])
-    rest = changed - columns @ np.linalg.lstsq(columns, changed, rcond=None)[0]
-    return rest / np.max(np.abs(rest))
+    out = []
+    for model in models:
+        values = dict(zip(model.parameter_names, model.nominal, strict=True)) | JOINT
+        changed = simulate(model, model.vector(values), drive) - base
+        rest = changed - columns @ np.linalg.lstsq(columns, changed, rcond=None)[0]
+        out.append(rest / np.max(np.abs(rest)))
+    return out
