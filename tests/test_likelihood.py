@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import scipy.linalg
+import scipy.optimize
 from scipy import signal
 
 from identifiability.benchmark import coverage, noisy_recordings
@@ -14,18 +15,26 @@ from identifiability.inference.curvature import curvature
 from identifiability.inference.fitting import fit
 from identifiability.inference.likelihood import carried, coloured
 from identifiability.inference.likelihood.estimate import (
+    Contender,
     NoiseEstimate,
+    Order,
     Stretch,
     contenders,
     estimate_noise,
 )
 from identifiability.inference.likelihood.processes import Process, ProcessSum
-from identifiability.inference.likelihood.profiled import Residuals, scaled_residuals, slopes
+from identifiability.inference.likelihood.profiled import (
+    Residuals,
+    change_of,
+    least_squares,
+    scaled_residuals,
+)
 from identifiability.inference.recordings import fit_with_noise
 from identifiability.measurement.perturbations import imposed_motion
 from identifiability.measurement.prepared import prepare_whole_band
 from identifiability.measurement.trials import Trial
 
+WHITE = Process(np.ones(1), np.ones(1), 1.0)
 OWN = Process(np.array([1.0, -1.5, 0.7]), np.array([1.0, 0.4, 0.2]), 0.7)
 CARRIED = Process(np.array([1.0, -0.9]), np.array([0.2, -1.0, 0.5, 0.1]), 1.3)
 
@@ -170,7 +179,6 @@ def test_the_sum_of_squares_is_the_restricted_likelihood():
         restricted_cost(other, stretches, carried) - restricted_cost(values, stretches, carried),
         abs=1e-6,
     )
-    # What an optimiser sees of the slopes are their lengths and angles.
     step = 1e-6
     full = np.column_stack(
         [
@@ -183,9 +191,86 @@ def test_the_sum_of_squares_is_the_restricted_likelihood():
         ]
     )
     here = scaled_residuals(values, sought_in)[0]
-    few = slopes(values, sought_in, 3, 1e-5)
-    np.testing.assert_allclose(few.T @ few, full.T @ full, rtol=1e-4)
-    np.testing.assert_allclose(few[0] * np.linalg.norm(here), here @ full, rtol=1e-3)
+    gradient, products = change_of(values, here, sought_in, 3)
+    np.testing.assert_allclose(products, full.T @ full, rtol=1e-4)
+    np.testing.assert_allclose(gradient, here @ full, rtol=1e-3)
+
+
+@pytest.mark.parametrize("held", [False, True])
+@pytest.mark.parametrize("colour", [0.0, 0.9])
+def test_the_noise_that_is_found_is_the_most_likely(colour, held):
+    random = np.random.default_rng(7)
+    joint, interval, n = np.array([40.0, 0.5, 0.05]), 0.002, 300
+    came_in = carried.by_impedance(joint, interval)
+    came_in = Process(came_in.ar, came_in.ma, 1 / np.sqrt(came_in.autocovariance(0)[0]))
+    own = Process(np.array([1.0, -colour]), np.array([1.0, 0.3]), 1.0)
+    columns = np.column_stack([own.draw(n, random) + 0.5 * came_in.draw(n, random) for _ in "ab"])
+    carries = came_in.ar, came_in.sd * came_in.ma
+    sought_in = Residuals(1, 1, carries, columns.ravel(), np.array([n]), np.array([2]), 0)
+    start = np.array([-0.5, 0.0, -1.0])
+    n_free = 3 - held
+    bounds = np.full(n_free, -5.0), np.full(n_free, 5.0)
+
+    def cost(values):
+        scaled, freedom = scaled_residuals(values, sought_in)
+        return 0.5 * freedom * np.log(scaled @ scaled / freedom)
+
+    found, ended = least_squares(start, sought_in, *bounds)
+    best = scipy.optimize.minimize(
+        lambda free: cost(np.append(free, start[n_free:])), start[:n_free], method="Nelder-Mead"
+    )
+    assert ended
+    np.testing.assert_array_equal(found[n_free:], start[n_free:])
+    assert cost(start) - cost(found) > 10
+    assert cost(found) == pytest.approx(best.fun, abs=0.01)
+
+
+def test_a_noise_is_sought_within_bounds():
+    random = np.random.default_rng(8)
+    columns = np.cumsum(random.standard_normal(400))
+    sought_in = Residuals(
+        1, 0, (np.ones(1), np.zeros(1)), columns, np.array([400]), np.array([1]), 0
+    )
+    bounds = np.array([-1.0]), np.array([1.0])
+    found, ended = least_squares(np.array([0.5]), sought_in, *bounds)
+    assert ended
+    assert found[0] == -1.0
+
+
+def carried_noises(share, draws, own=WHITE, known=0.0):
+    """Estimates of noise with so much of it carried, and what each should have found."""
+    interval = 0.01
+    came_in = carried.by_impedance(np.array([40.0, 0.5, 0.05]), interval)
+    unit = 1 / np.sqrt(came_in.autocovariance(0)[0])
+    through = Process(came_in.ar, came_in.ma, share * unit)
+    orders = [Contender(Order(own.ar.size - 1, 0, True))]
+    for seed in range(draws):
+        random = np.random.default_rng(seed)
+        residual = own.draw(400, random) + through.draw(400, random)
+        stretch = Stretch(residual, np.linspace(-1, 1, 400)[:, None], 0)
+        yield estimate_noise([stretch], came_in, orders, known)[0], share * unit
+
+
+def test_how_well_carried_noise_is_known_is_its_scatter():
+    """The variance of what came in is off by its stated error."""
+    for share in (1.0, 2.0):
+        off = []
+        for estimate, sd in carried_noises(share, 40):
+            variance = estimate.carried_sd**2
+            off.append((variance - sd**2) / (estimate.carried_error * variance))
+        # 40 draws tell a standard deviation to an eighth of it; parabolas are not exact.
+        assert 0.6 < np.sqrt(np.mean(np.square(off))) < 1.6
+
+
+def test_carried_noise_of_the_own_noise_s_colour_is_not_known():
+    """Where there is none, next to nothing says how much there is; what is known has no error."""
+    slow = Process(np.array([1.0, -0.99]), np.ones(1), 1.0)
+    errors = [estimate.carried_error for estimate, _ in carried_noises(0.0, 10, slow)]
+    assert np.median(errors) > 0.7
+    sure = [estimate.carried_error for estimate, _ in carried_noises(5.0, 3, slow)]
+    assert max(sure) < 0.3  # the control
+    told = [estimate.carried_error for estimate, _ in carried_noises(0.0, 3, slow, known=1.0)]
+    assert max(told) == 0
 
 
 def test_carried_noise_is_that_of_the_response():

@@ -14,16 +14,15 @@ from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
-import scipy.optimize
 from scipy.signal import lfilter
 
 from identifiability.files import plain
 from identifiability.inference.likelihood.processes import Process, ProcessSum
 from identifiability.inference.likelihood.profiled import (
     Residuals,
+    least_squares,
     polynomial,
     scaled_residuals,
-    slopes,
 )
 
 _ARMA = ((0, 0), (1, 0), (0, 1), (1, 1), (2, 0), (2, 1), (2, 2), (3, 3))
@@ -31,13 +30,11 @@ _ARMA = ((0, 0), (1, 0), (0, 1), (1, 1), (2, 0), (2, 1), (2, 2), (3, 3))
 _MOST_SAMPLES, _CHUNK = 4000, 1000  # from which the colour is estimated
 _LONG_AR = 16  # order of the autoregression whose residuals stand for the shocks
 _MOST_CORRELATED = 5.0  # bound of atanh of a partial autocorrelation
-_SHARES = np.geomspace(1e-6, 1e6, 7)  # of carried to own variance, to start from
-_MOST_CARRIED = 0.5 * np.log(_SHARES[-1]) + 3  # logarithm of carried over own, of deviations
-_HELD_ROUNDS, _AS_KNOWN = 6, 1.02  # of own beside known noise; times what there is of that
-_ITERATIONS = 30
-_STEP, _INSIDE = 1e-5, 1e-3  # of differences; from bounds, to start at
+# Of carried to own variance, to start from: where next to nothing is carried, more has no slope.
+_SHARES = np.geomspace(1e-2, 1e6, 5)
+_MOST_CARRIED = 10.0  # logarithm of carried over own, of deviations; least of it with a minus
+_HELD_ROUNDS, _AS_KNOWN = 6, 1.02  # of own beside held noise; times what there is of that
 _SAME_DIRECTION = 1e-8  # length of a direction, over the longest, from which it is one
-_HUGE = 1e10  # stands for a noise without likelihood
 _SHORTLIST = 3
 _NO_PROCESS = (np.ones(1), np.zeros(1))
 
@@ -107,6 +104,9 @@ class NoiseEstimate:
         Number of orders that were tried.
     converged : bool
         Whether the optimiser ended by itself.
+    carried_error : float
+        Standard error of the carried noise's variance, over that variance: 1 where there may be
+        none, 0 where it is held at what is known of it.
     """
 
     own: Process
@@ -115,6 +115,7 @@ class NoiseEstimate:
     rms: float
     tried: int
     converged: bool
+    carried_error: float = 0.0
 
     @cached_property
     def noise(self) -> ProcessSum:
@@ -200,27 +201,24 @@ def estimate_noise(
     values, _, converged = chosen.fitted(order, values, restricted=True)
     levels = np.ones(trials)
     if trials > 1:
-        found = _levels(scaled, chosen.noise(order, values), trials)
-        if found is not None:
-            levels = found
+        differing = _levels(scaled, chosen.noise(order, values), trials)
+        if differing is not None:
+            levels = differing
             scaled = [
                 Stretch(s.residual / levels[s.trial], s.jacobian / levels[s.trial], s.trial)
                 for s in scaled
             ]
             chosen = _Sample(_budget(scaled), carried)
             values, _, converged = chosen.fitted(order, values, restricted=True)
-    noise = chosen.noise(order, values)
-    sd = scale * np.sqrt(_variance(scaled, noise, chosen.k))
-    if known and carried is not None and order.carried:
-        for _ in range(_HELD_ROUNDS):
-            missing = known / (sd * noise.parts[1].sd * unit)
-            if missing < _AS_KNOWN:
-                break
-            # The share that it has of the own noise, which is less the more this one is.
-            values = np.append(values[:-1], min(values[-1] + np.log(missing), _MOST_CARRIED))
-            values, _, converged = chosen.fitted(order, values, restricted=True, held=True)
-            noise = chosen.noise(order, values)
-            sd = scale * np.sqrt(_variance(scaled, noise, chosen.k))
+    found = _Found(chosen, scaled, order, values, converged)
+    error = 0.0
+    if carried is not None and order.carried:
+        least = known / (scale * unit)
+        if found.carried_sd * _AS_KNOWN <= least:
+            found = found.with_carried(least)
+        else:
+            error = found.carried_error(least)
+    noise, sd = found.noise, scale * found.sd
     parts = [Process(part.ar, part.ma, part.sd * sd) for part in noise.parts]
     return (
         NoiseEstimate(
@@ -229,9 +227,10 @@ def estimate_noise(
             levels,
             float(scale),
             len(tried),
-            bool(converged),
+            bool(found.converged),
+            error,
         ),
-        (Contender(order, values), *ranked[1:_SHORTLIST]),
+        (Contender(order, found.values), *ranked[1:_SHORTLIST]),
     )
 
 
@@ -392,41 +391,76 @@ class _Sample:
         With the share of the carried noise `held` where it is.
         """
         n_free = order.size - held
-        tail = start[n_free:]
         if not n_free:
             return start, self.cost(order, start, restricted=restricted), True
-        left = self._left(order, restricted)
-
-        # The optimiser needs lengths and angles alone. With the residual along the first of few
-        # axes these are cheaper to have than with one axis a sample.
-        def along(values: np.ndarray) -> np.ndarray:
-            found, _ = scaled_residuals(np.append(values, tail), left)
-            return np.append(min(float(np.sqrt(found @ found)), _HUGE), np.zeros(n_free))
-
-        def change(values: np.ndarray) -> np.ndarray:
-            found: np.ndarray = slopes(np.append(values, tail), left, n_free, _STEP)
-            return found
-
         lower = np.full(order.size, -_MOST_CORRELATED)
         upper = -lower
         if order.carried:
-            lower[-1] = 0.5 * np.log(_SHARES[0]) - 3
-            upper[-1] = _MOST_CARRIED
-        lower, upper = lower[:n_free], upper[:n_free]
+            lower[-1], upper[-1] = -_MOST_CARRIED, _MOST_CARRIED
+        left = self._left(order, restricted)
         try:
-            found = scipy.optimize.least_squares(
-                along,
-                np.clip(start[:n_free], lower + _INSIDE, upper - _INSIDE),
-                jac=change,
-                bounds=(lower, upper),
-                max_nfev=_ITERATIONS,
-                ftol=1e-5,
-                xtol=1e-3,
-            )
+            best, ended = least_squares(start, left, lower[:n_free], upper[:n_free])
         except np.linalg.LinAlgError:
             return start, np.inf, False
-        best = np.append(found.x, tail)
-        return best, self.cost(order, best, restricted=restricted), bool(found.status > 0)
+        return best, self.cost(order, best, restricted=restricted), bool(ended)
+
+
+@dataclass(frozen=True, eq=False)
+class _Found:
+    """A noise that was found; its carried part may be held at another size, the own sought anew."""
+
+    sample: _Sample
+    stretches: Sequence[Stretch]
+    order: Order
+    values: np.ndarray
+    converged: bool
+
+    @cached_property
+    def noise(self) -> ProcessSum:
+        """At the level of `values`."""
+        return self.sample.noise(self.order, self.values)
+
+    @cached_property
+    def sd(self) -> float:
+        """What multiplies `noise`."""
+        return float(np.sqrt(_variance(self.stretches, self.noise, self.sample.k)))
+
+    @property
+    def carried_sd(self) -> float:
+        """Standard deviation of what is carried, before it is."""
+        return self.sd * self.noise.parts[1].sd
+
+    def with_carried(self, sd: float) -> _Found:
+        """The most likely with so much carried noise."""
+        found = self
+        for _ in range(_HELD_ROUNDS):
+            change = np.log(sd / found.carried_sd)
+            if abs(change) < np.log(_AS_KNOWN):
+                break
+            # The share that it has of the own noise, which is less the more this one is.
+            last = np.clip(found.values[-1] + change, -_MOST_CARRIED, _MOST_CARRIED)
+            values, _, converged = self.sample.fitted(
+                self.order, np.append(found.values[:-1], last), restricted=True, held=True
+            )
+            found = replace(found, values=values, converged=converged)
+        return found
+
+    def carried_error(self, least: float) -> float:
+        """Standard error of the carried variance, over it, where its sd is no less than `least`.
+
+        By what the likelihood loses down to half of it, or to the least: where its colour is the
+        own noise's there is no curvature at the optimum to go by.
+        """
+        most = max(1 - (least / self.carried_sd) ** 2, 0.0)  # that it can be too large by
+        share = max(1 - most, 0.5)
+        less = self.with_carried(self.carried_sd * np.sqrt(share))
+        lost = less.cost - self.cost
+        return min(most, -float(np.log(share)) / np.sqrt(2 * lost)) if lost > 0 else most
+
+    @property
+    def cost(self) -> float:
+        """Minus the restricted log likelihood."""
+        return self.sample.cost(self.order, self.values, restricted=True)
 
 
 def _reflections(pieces: Sequence[np.ndarray], order: int) -> np.ndarray:

@@ -17,7 +17,12 @@ from identifiability.inference.likelihood.banded import (
 )
 from identifiability.loops import compiled_loop
 
-_DEPENDENT = 1e-13  # share of all products, that lets dependent directions have a root
+_STEP = 1e-5  # of differences
+_TRIALS = 60
+_RADIUS = 0.5  # of the first step
+_LEAST_GAIN = 3e-6  # of the squares, that a step must promise: half a thousandth of a sample
+_BISECTIONS = 30
+_DEPENDENT = 1e-13  # of the largest slope, squared, below which there is none
 
 
 @compiled_loop
@@ -119,41 +124,108 @@ def scaled_residuals(values: np.ndarray, left: Residuals) -> tuple[np.ndarray, i
 
 
 @compiled_loop
-def slopes(values: np.ndarray, left: Residuals, n_free: int, step: float) -> np.ndarray:
-    """Derivatives of `scaled_residuals` by the first values, as an optimiser needs them.
-
-    That is their lengths and angles: the residuals lie along the first of `n_free` + 1 axes.
+def change_of(
+    values: np.ndarray, here: np.ndarray, left: Residuals, n_free: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Gradient of half the sum of squares, and the products of the residuals' derivatives.
 
     Parameters
     ----------
     values : array
+    here : array, shape (n_samples,)
+        What `scaled_residuals` gives there.
     left : Residuals
     n_free : int
-        How many of the values.
-    step : float
-        Of differences, towards 0.
+        How many of the values are free, from the first.
 
     Returns
     -------
-    array, shape (n_free + 1, n_free)
-        Of zeros where the noise has no likelihood.
+    array, shape (n_free,)
+    array, shape (n_free, n_free)
     """
-    here, _ = scaled_residuals(values, left)
-    if not np.isfinite(here[0]):
-        return np.zeros((n_free + 1, n_free))
     change = np.zeros((n_free, here.size))
     for i in range(n_free):
         moved = values.copy()
-        moved[i] += step if values[i] < 0 else -step
+        moved[i] += _STEP if values[i] < 0 else -_STEP  # towards 0, away from bounds
         there, _ = scaled_residuals(moved, left)
         if np.isfinite(there[0]):
             change[i] = (there - here) / (moved[i] - values[i])
-    direction = here / np.sqrt(np.sum(here**2))
-    found = np.empty((n_free + 1, n_free))
-    found[0] = change @ direction
-    for i in range(n_free):
-        change[i] -= found[0, i] * direction
-    products = change @ change.T
-    products += np.eye(n_free) * (_DEPENDENT * np.trace(products) + 1e-300)
-    found[1:] = np.linalg.cholesky(products).T
-    return found
+    return change @ here, change @ change.T
+
+
+@compiled_loop
+def least_squares(
+    start: np.ndarray, left: Residuals, lower: np.ndarray, upper: np.ndarray
+) -> tuple[np.ndarray, bool]:
+    """Values of the least sum of squares of `scaled_residuals`, by Levenberg and Marquardt.
+
+    Values at a bound are left there while the squares fall beyond it. A library's optimiser in
+    Python takes as long for its own steps as these residuals take, and a noise is sought thousands
+    of times in one investigation.
+
+    Parameters
+    ----------
+    start : array
+    left : Residuals
+    lower, upper : array, shape (n_free,)
+        Bounds of the first values; the rest are held.
+
+    Returns
+    -------
+    array
+    bool
+        Whether it ended by itself.
+    """
+    n_free = lower.size
+    values = start.copy()
+    values[:n_free] = np.minimum(np.maximum(start[:n_free], lower), upper)
+    here, _ = scaled_residuals(values, left)
+    squares, radius = np.sum(here**2), _RADIUS
+    if not np.isfinite(squares):
+        return values, False
+    gradient, products = change_of(values, here, left, n_free)
+    for _ in range(_TRIALS):
+        outside = np.where(gradient > 0, values[:n_free] <= lower, values[:n_free] >= upper)
+        step = within(gradient, products, outside, radius)
+        moved = values.copy()
+        moved[:n_free] = np.minimum(np.maximum(values[:n_free] + step, lower), upper)
+        taken = moved[:n_free] - values[:n_free]
+        promised = -2 * (gradient @ taken) - taken @ products @ taken
+        if promised <= _LEAST_GAIN * squares:
+            return values, True
+        there, _ = scaled_residuals(moved, left)
+        gained = squares - np.sum(there**2)
+        length = np.sqrt(np.sum(step**2))
+        if not gained > 0.25 * promised:
+            radius = 0.25 * length
+        elif gained > 0.75 * promised and length > 0.95 * radius:
+            radius *= 2.0
+        if gained > 0:
+            values, here, squares = moved, there, squares - gained
+            gradient, products = change_of(values, here, left, n_free)
+    return values, False
+
+
+@compiled_loop
+def within(
+    gradient: np.ndarray, products: np.ndarray, held: np.ndarray, radius: float
+) -> np.ndarray:
+    """Step of least squares no longer than a radius (Moré & Sorensen 1983), some values held."""
+    pull, products = gradient.copy(), products.copy()
+    for i in range(held.size):
+        if held[i]:
+            pull[i] = 0.0
+            products[i, :] = 0.0
+            products[:, i] = 0.0
+    lengths, axes = np.linalg.eigh(products)
+    lengths = np.maximum(lengths, _DEPENDENT * lengths[-1]) + 1e-300
+    along = -(axes.T @ pull)
+    damping = 0.0
+    for _ in range(_BISECTIONS):
+        size = np.sqrt(np.sum((along / (lengths + damping)) ** 2))
+        if size <= 1.05 * radius:
+            break
+        # Newton's step for 1 / size, which is all but linear in the damping.
+        slope = np.sum(along**2 / (lengths + damping) ** 3) / size**3
+        damping += (1 / radius - 1 / size) / slope
+    return axes @ (along / (lengths + damping))

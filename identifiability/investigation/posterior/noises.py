@@ -232,7 +232,10 @@ class Weighed:
         excess = max(self.weights.excess, _NO_EXCESS)
         if self.finds_reference:
             return 0.9 * _CEILING * excess
-        return excess + _MOST_MORE * min(excess, self.band.n_samples)
+        more = _MOST_MORE * min(excess, self.band.n_samples)
+        # Of what is taken off for noise that is not there half counts as evidence.
+        error = self.weights.estimate.carried_error
+        return excess + min(more, 1 / error if error else more)
 
     def residuals(self, x: np.ndarray) -> np.ndarray:
         """Whitened residuals; with probes one more, less the larger the noise's share is."""
