@@ -73,6 +73,7 @@ from .joint.model import KBI, Model, Reaction
 from .joint.parameters import Parameter
 from .joint.response import simulate
 from .joint.scheme import Scheme
+from .measurement.cutting import cut_at_onsets
 from .measurement.example import example_trials
 from .measurement.noise import Noise, matched_noise
 from .measurement.perturbations import (
@@ -91,6 +92,7 @@ from .measurement.perturbations import (
 )
 from .measurement.prepared import Lead, Prepared, Treatment
 from .measurement.readers.trial_file import read_trial
+from .measurement.readers.two_files import ChannelFile, read_two_files
 from .measurement.trials import Trial, onsets
 from .plots.across import across_figure
 from .plots.corner import corner_figure
@@ -98,7 +100,7 @@ from .plots.effects import look_alikes_figure
 from .plots.investigation import alone_figure, ladder_figure, widths_figure
 from .plots.investigation_unexplained import unexplained_figure
 from .plots.investigation_where import comparison_figure, responses_figure, where_figure
-from .plots.recording import overlay_figure, windows_figure
+from .plots.recording import cuts_figure, overlay_figure, windows_figure
 from .plots.rivals import rivals_figure
 from .report.investigation import write_report
 from .study.approximations import high_frequency, low_frequency
@@ -114,12 +116,15 @@ __all__ = [  # noqa: RUF022 -- in the order of use
     "Treatment",
     "Lead",
     "read_trial",
+    "read_two_files",
+    "ChannelFile",
     "example_trials",
     "hidden_cases",
     "HiddenCase",
     "CaseSpec",
     "Recorder",
     "onsets",
+    "cut_at_onsets",
     "Perturbation",
     "PERTURBATIONS",
     "Impulse",
@@ -268,4 +273,5 @@ __all__ = [  # noqa: RUF022 -- in the order of use
     "across_figure",
     "overlay_figure",
     "windows_figure",
+    "cuts_figure",
 ]

@@ -11,6 +11,7 @@ from identifiability.cli.options import (
     add_lowpass_option,
     add_out_option,
     add_seed_option,
+    add_torque_file_options,
     check_seed,
     parse_bounds,
     parse_lowpass,
@@ -38,6 +39,7 @@ def add_parser(commands: Any) -> None:
         ),
     )
     add_file_options(parser)
+    add_torque_file_options(parser)
     parser.add_argument(
         "--window",
         nargs="+",

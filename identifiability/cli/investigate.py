@@ -15,6 +15,7 @@ from identifiability.cli.options import (
     add_lowpass_option,
     add_out_option,
     add_seed_option,
+    add_torque_file_options,
     check_seed,
     command_line,
     parse_bounds,
@@ -42,6 +43,7 @@ def add_parser(commands: Any) -> None:
         ),
     )
     add_file_options(parser)
+    add_torque_file_options(parser)
     parser.add_argument(
         "--hold-out",
         action="append",

@@ -116,6 +116,15 @@ def add_file_options(parser: argparse.ArgumentParser) -> None:
         help="interpolate to so many samples a second, where the clock is uneven, or thin to them",
     )
     parser.add_argument(
+        "--cut",
+        nargs="?",
+        type=float,
+        const=0.1,
+        metavar="LEAD",
+        help="cut each recording into trials, one for each perturbation, from LEAD s (0.1) before "
+        "it; the report shows the cuts",
+    )
+    parser.add_argument(
         "--restoring",
         action="store_true",
         help="the torque recorded is the joint's reaction, not the torque applied to it",
@@ -125,6 +134,31 @@ def add_file_options(parser: argparse.ArgumentParser) -> None:
         choices=("torque", "angle"),
         default="torque",
         help="what was imposed (torque); the other is the response",
+    )
+
+
+def add_torque_file_options(parser: argparse.ArgumentParser) -> None:
+    """Add the options that say where the torque is, where files have the angle alone."""
+    parser.add_argument(
+        "--torque-from",
+        nargs="+",
+        type=Path,
+        metavar="FILE",
+        help="files with the torque, one for each FILE, which then has the angle alone; at other "
+        "rates or not, both with time or a rate",
+    )
+    parser.add_argument(
+        "--torque-columns", nargs="+", metavar="WHAT=COLUMN:UNIT", help="as --columns, of these"
+    )
+    parser.add_argument("--torque-variable", metavar="NAME", help="as --variable, of these")
+    parser.add_argument("--torque-rate", type=float, metavar="HZ", help="as --rate, of these")
+    parser.add_argument(
+        "--torque-late",
+        type=float,
+        default=0.0,
+        metavar="S",
+        help="seconds that the torque's clock shows less than the angle's at one moment (0); it is "
+        "not guessed, since a joint that lags looks alike",
     )
 
 
@@ -146,10 +180,30 @@ def command_line() -> str:
 
 def read_trials(options: argparse.Namespace, files: Sequence[Path] | None = None) -> list[Trial]:
     """Read the trials that the file options name, or those in other files, read alike."""
-    from identifiability.measurement.readers.columns import parse_columns
+    from identifiability.measurement.cutting import cut_at_onsets
     from identifiability.measurement.readers.formats import readable_files
+
+    paths = readable_files(options.files) if files is None else files
+    trials = (
+        _of_two_files(options, paths)
+        if getattr(options, "torque_from", None)
+        else _of_one(options, paths)
+    )
+    if options.cut is None:
+        return trials
+    return [part for trial in trials for part in cut_at_onsets(trial, lead=options.cut)]
+
+
+def _of_one(options: argparse.Namespace, paths: Sequence[Path]) -> list[Trial]:
+    from identifiability.measurement.readers.columns import parse_columns
     from identifiability.measurement.readers.trial_file import read_trial
 
+    for name in ("columns", "variable", "rate", "late"):
+        if getattr(options, f"torque_{name}", None):
+            raise InputError(
+                f"found --torque-{name} without --torque-from, expected both: name the files that "
+                "have the torque"
+            )
     columns = parse_columns(options.columns) if options.columns else None
     return [
         read_trial(
@@ -161,7 +215,39 @@ def read_trials(options: argparse.Namespace, files: Sequence[Path] | None = None
             restoring=options.restoring,
             driven=options.driven,
         )
-        for path in (readable_files(options.files) if files is None else files)
+        for path in paths
+    ]
+
+
+def _of_two_files(options: argparse.Namespace, paths: Sequence[Path]) -> list[Trial]:
+    from identifiability.measurement.readers.columns import parse_columns
+    from identifiability.measurement.readers.two_files import ChannelFile, read_two_files
+
+    if options.resample is not None:
+        raise InputError("found --resample with --torque-from, expected one of them")
+    if getattr(options, "hold_out", None):
+        raise InputError(
+            "found --hold-out with --torque-from, expected one of them: some trials are held out "
+            "by themselves"
+        )
+    if len(options.torque_from) != len(paths):
+        raise InputError(
+            f"found {len(options.torque_from)} files of torque for {len(paths)} of angle, expected "
+            "one for each"
+        )
+    columns = [
+        parse_columns(texts) if texts else None
+        for texts in (options.columns, options.torque_columns)
+    ]
+    return [
+        read_two_files(
+            ChannelFile(angle, columns[0], options.variable, options.rate),
+            ChannelFile(torque, columns[1], options.torque_variable, options.torque_rate),
+            late=options.torque_late,
+            restoring=options.restoring,
+            driven=options.driven,
+        )
+        for angle, torque in zip(paths, options.torque_from, strict=True)
     ]
 
 

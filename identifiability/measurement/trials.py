@@ -154,6 +154,26 @@ class Trial:
             )
         return self._part(low, high, f"cut to {start:g}-{stop:g} s")
 
+    def part(self, first: int, last: int, *, name: str, why: str) -> Trial:
+        """Return the samples from `first` until before `last`, on the same time axis.
+
+        Parameters
+        ----------
+        first, last : int
+        name : str
+            Of the part.
+        why : str
+            For its notes, such as "cut at its perturbations".
+
+        Raises
+        ------
+        InputError
+            If the part has fewer than three samples, or a constant channel.
+        """
+        start, stop = self.time[first], self.time[last - 1]
+        cut = self._part(first, last, f"{why}: {start:g}-{stop:g} s")
+        return dataclasses.replace(cut, name=name)
+
     def halves(self) -> tuple[Trial, Trial]:
         """Return the first and the second half, as two trials.
 
@@ -237,17 +257,10 @@ class Trial:
         InputError
             If the factor is not a whole number of at least 1, or leaves fewer than three samples.
         """
-        sparse, reach = self.decimate(factor), 10 * int(factor)
-        taps = signal.firwin(2 * reach + 1, 1 / factor) if factor > 1 else np.ones(1)
-
-        def kept(values: np.ndarray) -> np.ndarray:
-            around = extended(values, taps.size // 2, self.angle)
-            return np.asarray(signal.fftconvolve(around, taps, mode="valid")[:: int(factor)])
-
+        time = self.decimate(factor).time
+        torque, angle = (thinned(v, int(factor), self.angle) for v in (self.torque, self.angle))
         note = f"one sample in {int(factor)} kept, behind a filter against aliasing"
-        return self._changed(
-            note, time=sparse.time, torque=kept(self.torque), angle=kept(self.angle)
-        )
+        return self._changed(note, time=time, torque=torque, angle=angle)
 
     def centred(self, how: Literal["mean", "baseline", "none"]) -> Trial:
         """Return the trial as deviations from its operating point.
@@ -309,6 +322,24 @@ class Trial:
         # dataclasses.replace types its keywords loosely, which is what is wanted here.
         changes: dict[str, object] = {**columns, "notes": (*self.notes, note)}
         return dataclasses.replace(self, **changes)  # type: ignore[arg-type]
+
+
+def thinned(values: FloatArray, factor: int, angle: FloatArray) -> FloatArray:
+    """Every `factor`-th value, freed of what would fold back, as in `Trial.thinned`.
+
+    Parameters
+    ----------
+    values : array, shape (n,)
+    factor : int
+        At least 1.
+    angle : array, shape (n,)
+        That moves or rests at the ends [rad].
+    """
+    if factor == 1:
+        return values
+    taps = signal.firwin(20 * factor + 1, 1 / factor)
+    around = extended(values, taps.size // 2, angle)
+    return np.asarray(signal.fftconvolve(around, taps, mode="valid")[::factor])
 
 
 def extended(values: FloatArray, n: int, angle: FloatArray) -> FloatArray:

@@ -1,17 +1,21 @@
-"""Figures of a fit to recordings: overlay and residual, and K, B, I against the window."""
+"""Figures of recordings: their cuts, a fit's overlay and residual, K, B, I against the window."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from textwrap import fill
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from identifiability.inference.recordings import RecordingFit
-from identifiability.palette import BLACK, BLUE, GREY, VERMILLION
+from identifiability.measurement.cutting import is_cut
+from identifiability.measurement.prepared import Prepared
+from identifiability.palette import BLACK, BLUE, GREY, SKY, VERMILLION
 from identifiability.plots.style import LONGEST_SHOWN, PAGE, printed
 
 _MOST_TRIALS, _TITLE = 4, 96  # letters of titles side by side
+_MOST_CUTS = 8
 
 
 @printed
@@ -52,6 +56,56 @@ def overlay_figure(result: RecordingFit) -> Figure:
     figure.align_ylabels(axes[:, 0])
     if more := len(result.prepared) - len(shown):
         figure.suptitle(f"{more} more trials are not shown")
+    return figure
+
+
+def cut_recordings(trials: Iterable[Prepared]) -> list[list[Prepared]]:
+    """Trials that were cut from one recording, in its order; by recording."""
+    by_recording: dict[tuple[str, str], list[Prepared]] = {}
+    for one in trials:
+        if is_cut(one.trial):
+            by_recording.setdefault((one.trial.source, one.trial.sha256), []).append(one)
+    return [sorted(found, key=lambda p: p.trial.time[0]) for found in by_recording.values()]
+
+
+@printed
+def cuts_figure(trials: Sequence[Prepared]) -> Figure:
+    """Where a recording was cut: trials that follow each other, and their perturbations.
+
+    Parameters
+    ----------
+    trials : sequence of Prepared
+        Of one recording, in its order (`cut_recordings`). The first eight are shown.
+    """
+    shown = trials[:_MOST_CUTS]
+    figure = Figure(figsize=(PAGE, 2.8))
+    upper, lower = figure.subplots(2, 1, sharex=True)
+    channels = {"torque": "torque [Nm]", "angle": "angle [rad]"}
+    imposed = shown[0].trial.driven
+    response = "angle" if imposed == "torque" else "torque"
+    for number, one in enumerate(shown):
+        trial, treated = one.trial, one.treatment
+        start, end = trial.time[0], trial.time[-1]
+        for axes, channel in ((upper, imposed), (lower, response)):
+            values = getattr(trial, channel) + getattr(treated, channel)
+            axes.plot(trial.time, values, color=BLACK, lw=0.9)
+            axes.axvline(trial.time[one.onsets[0]], color=VERMILLION, lw=0.9, ls="--")
+            if number % 2 == 0:
+                axes.axvspan(start, end, color=SKY, alpha=0.25, lw=0)
+        upper.annotate(
+            str(number + 1),
+            ((start + end) / 2, 1.0),
+            xycoords=upper.get_xaxis_transform(),
+            va="bottom",
+            ha="center",
+        )
+    upper.set_ylabel(f"imposed\n{channels[imposed]}")
+    lower.set_ylabel(f"response\n{channels[response]}")
+    lower.set_xlabel("time [s]")
+    lower.set_xlim(shown[0].trial.time[0], shown[-1].trial.time[-1])
+    figure.align_ylabels([upper, lower])
+    if more := len(trials) - len(shown):
+        figure.suptitle(f"the first {len(shown)} trials; {more} more are not shown")
     return figure
 
 

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+from identifiability.measurement.prepared import Prepared
+from identifiability.plots.recording import cut_recordings, cuts_figure
 from identifiability.plots.style import COLUMN, save_printed
 from identifiability.report.page import Page
 
@@ -42,3 +45,14 @@ class Figures:
         self.written.extend(f"{FOLDER}/{file.name}" for file in files)
         wide = figure.get_figwidth() > COLUMN
         self.page.figure(files[0].read_bytes(), caption, alt=alt, wide=wide)
+
+    def show_cuts(self, trials: Iterable[Prepared]) -> None:
+        """Show where recordings were cut into trials, where any was."""
+        for number, cut in enumerate(cut_recordings(trials), start=1):
+            self.show(
+                "cuts" if number == 1 else f"cuts_{number}",
+                partial(cuts_figure, cut),
+                f"{cut[0].trial.source or 'The recording'}, cut into {len(cut)} trials: one from "
+                "before each perturbation (dashed: where it starts) to the next one's.",
+                "Imposed signal and response in time, with the trials shaded and numbered.",
+            )

@@ -128,6 +128,7 @@ def _write_report(result: RecordingFit, title: str, out: Path) -> list[str]:
         "Contours of the posterior of each two of K, B and I, and its histogram of each.",
     )
     _ellipse(page, result)
+    figures.show_cuts(result.prepared)
     write_text(out / "report.html", page.render())
     return figures.written
 

@@ -111,6 +111,7 @@ def write_report(findings: Findings, record: dict[str, Any], out: Path) -> list[
     _parameters(page, figures, findings)
     _next(page, findings)
     _how(page, findings, record)
+    figures.show_cuts([*findings.split.fitted, *findings.split.held_out])
     write_text(out / "report.html", page.render())
     return figures.written
 

@@ -63,7 +63,7 @@ def _quantity(name: str) -> Quantity:
     raise InputError(f"{name!r} is not a quantity of a trial: name time, angle or torque")
 
 
-def checked(columns: Columns) -> Columns:
+def checked(columns: Columns, needed: Sequence[Quantity] = ("angle", "torque")) -> Columns:
     """Refuse columns that are no quantities, or have no unit of theirs."""
     for name, place in columns.items():
         quantity = _quantity(name)
@@ -75,23 +75,26 @@ def checked(columns: Columns) -> Columns:
                     f"the column of {name} is given as {place!r}: give the column and its unit, "
                     'such as ("position", "deg") or, by index from 0, (1, "deg")'
                 )
-    missing = [quantity for quantity in ("angle", "torque") if quantity not in columns]
+    missing = [quantity for quantity in needed if quantity not in columns]
     if missing:
         raise InputError(
-            f"no column is named for {' and '.join(missing)}: name angle and torque, such as "
-            f"{EXAMPLE}"
+            f"no column is named for {' and '.join(missing)}: name {' and '.join(needed)}, such "
+            f"as {EXAMPLE}"
         )
     return columns
 
 
-def located(table: Table, rate: float | None) -> Columns:
+def located(
+    table: Table, rate: float | None, needed: Sequence[Quantity] = ("torque", "angle")
+) -> Columns:
     """Columns whose headers name a quantity and a unit of it."""
     if table.names is None:
         raise InputError(
             f"there is no header: name the columns by index, which counts from 0, such as {EXAMPLE}"
         )
     columns: dict[Quantity, tuple[str | int, str]] = {}
-    for quantity in _SI:
+    sought = [quantity for quantity in _SI if quantity in ("time", *needed)]
+    for quantity in sought:
         found = {
             index: unit
             for index, header in enumerate(table.names)
@@ -101,17 +104,17 @@ def located(table: Table, rate: float | None) -> Columns:
             headers = ", ".join(table.names[index] for index in found)
             raise InputError(
                 f"several columns may be {quantity} ({headers}): choose with "
-                f"{_suggested(table.names, columns, rate)}"
+                f"{_suggested(table.names, columns, rate, sought)}"
             )
         for index, unit in found.items():
             columns[quantity] = (index, unit)
-    needed: tuple[Quantity, ...] = ("torque", "angle") if rate else ("time", "torque", "angle")
-    missing = [quantity for quantity in needed if quantity not in columns]
+    timed: tuple[Quantity, ...] = () if rate else ("time",)
+    missing = [quantity for quantity in (*timed, *needed) if quantity not in columns]
     if missing:
         raise InputError(
             f"the header ({', '.join(table.names)}) does not tell which column is "
             f"{' and which is '.join(missing)}, and in what unit: write "
-            f"{_suggested(table.names, columns, rate)}, with the units the file really has"
+            f"{_suggested(table.names, columns, rate, sought)}, with the units the file really has"
         )
     return columns
 
@@ -143,10 +146,13 @@ def _names(text: str, quantity: Quantity) -> bool:
     return not _NAMES[quantity].isdisjoint(word.lower() for word in words)
 
 
-def _suggested(names: Sequence[str], columns: Columns, rate: float | None) -> str:
+def _suggested(
+    names: Sequence[str], columns: Columns, rate: float | None, sought: Sequence[Quantity]
+) -> str:
     """Write the options that would name the columns, with SI units where the header tells none."""
     words = ["--columns"]
-    for quantity, si in _SI.items():
+    for quantity in sought:
+        si = _SI[quantity]
         similar = [name for name in names if _names(name, quantity)]
         column, unit = columns.get(quantity, (similar[0] if similar else "COLUMN", si))
         if quantity == "time" and rate is not None and quantity not in columns:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import hashlib
 import warnings
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Literal
 
@@ -16,8 +17,8 @@ from identifiability.measurement.readers.clock import Samples, evenly
 from identifiability.measurement.readers.columns import checked, located
 from identifiability.measurement.readers.formats import READERS, reader_of
 from identifiability.measurement.readers.tables import Columns, Options, Table
-from identifiability.measurement.trials import Trial
-from identifiability.measurement.units import parse_unit
+from identifiability.measurement.trials import FloatArray, Trial
+from identifiability.measurement.units import Quantity, parse_unit
 
 
 def read_trial(
@@ -85,7 +86,7 @@ def read_trial(
     # Absurdly large numbers overflow quietly here and are then refused as not finite.
     with np.errstate(over="ignore", invalid="ignore"):
         try:
-            table, sha256 = _load(path, Options(variable, wanted))
+            table, sha256 = loaded(path, Options(variable, wanted))
             if wanted is None:
                 wanted = located(table, rate)
             time, torque, angle, notes = _samples(table, wanted, rate, resample)
@@ -106,11 +107,12 @@ def read_trial(
                 trial = trial.thinned(round(trial.sampling_rate / resample))
         except InputError as error:
             raise InputError(f"{path.name}: {error}") from None
-        _warn_of_sign(trial, restoring)
+        warn_of_sign(trial, restoring)
     return trial
 
 
-def _load(path: Path, options: Options) -> tuple[Table, str]:
+def loaded(path: Path, options: Options) -> tuple[Table, str]:
+    """Columns of a file, and its SHA-256."""
     if path.is_dir():
         raise InputError("this is a directory: give the path of one file")
     reader = reader_of(path)
@@ -132,8 +134,19 @@ def _load(path: Path, options: Options) -> tuple[Table, str]:
 
 def _samples(table: Table, columns: Columns, rate: float | None, resample: float | None) -> Samples:
     """Time, torque and angle in SI units on an even clock, and what was done to them."""
-    if rate is not None and not 0.0 < rate < np.inf:
-        raise InputError(f"the sampling rate is {rate} Hz, but must be above 0")
+    values = numbers(table, columns)
+    torque, angle = values["torque"], values["angle"]
+    time = clock_of(values, torque.size, rate)
+    recorded = Samples(time, torque, angle, table.notes)
+    if "time" not in values and resample is None:
+        return recorded
+    samples = evenly(recorded, table.rows, resample)
+    check_rate(values, rate)
+    return samples
+
+
+def numbers(table: Table, columns: Columns) -> dict[Quantity, FloatArray]:
+    """Columns by quantity, in SI units."""
     places = {table.index(column) for column, _ in columns.values()}
     if len(places) < len(columns):
         raise InputError("one column is named for two quantities: name a column for each")
@@ -145,31 +158,39 @@ def _samples(table: Table, columns: Columns, rate: float | None, resample: float
     if len(set(sizes.values())) > 1:
         found = ", ".join(f"{quantity} {size}" for quantity, size in sizes.items())
         raise InputError(f"the columns must be equally long, but their lengths are {found}")
-    torque, angle = values["torque"], values["angle"]
+    return values
+
+
+def clock_of(
+    values: Mapping[Quantity, FloatArray], n_samples: int, rate: float | None
+) -> FloatArray:
+    """Time [s] as the file has it, or from 0 at a rate."""
+    if rate is not None and not 0.0 < rate < np.inf:
+        raise InputError(f"the sampling rate is {rate} Hz, but must be above 0")
     if "time" in values:
-        time = values["time"]
-    elif rate is not None:
-        time = np.arange(torque.size, dtype=np.float64) / rate
-    else:
+        return values["time"]
+    if rate is None:
         raise InputError(
             "there is no time column and no sampling rate: give the rate, such as --rate 1000, "
             "or the column of time, such as --columns time=0:s"
         )
-    recorded = Samples(time, torque, angle, table.notes)
-    if "time" not in values and resample is None:
-        return recorded
-    samples = evenly(recorded, table.rows, resample)
-    if rate is not None and "time" in values and time.size > 1:
-        found_rate = (time.size - 1) / (time[-1] - time[0])
-        if not abs(found_rate / rate - 1.0) <= 0.01:
-            raise InputError(
-                f"the rate is given as {rate:g} Hz, but the time column has {found_rate:.6g} Hz: "
-                "leave the rate out, or correct the unit of time"
-            )
-    return samples
+    return np.arange(n_samples, dtype=np.float64) / rate
 
 
-def _warn_of_sign(trial: Trial, restoring: bool) -> None:
+def check_rate(values: Mapping[Quantity, FloatArray], rate: float | None) -> None:
+    """Refuse a rate that the file's own time contradicts."""
+    if rate is None or "time" not in values or values["time"].size < 2:
+        return
+    time = values["time"]
+    found_rate = (time.size - 1) / (time[-1] - time[0])
+    if not abs(found_rate / rate - 1.0) <= 0.01:
+        raise InputError(
+            f"the rate is given as {rate:g} Hz, but the time column has {found_rate:.6g} Hz: "
+            "leave the rate out, or correct the unit of time"
+        )
+
+
+def warn_of_sign(trial: Trial, restoring: bool) -> None:
     """Warn where torque regressed on an imposed angle gives stiffness and inertia below zero."""
     if trial.driven != "angle" or trial.n_samples < 50:
         return
