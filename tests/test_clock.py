@@ -1,6 +1,7 @@
 """How far a command says it is."""
 
 import io
+import time
 
 import pytest
 
@@ -25,7 +26,7 @@ def said(monkeypatch):
         monkeypatch.setattr(module.time, "monotonic", lambda: next(times))
         out = Terminal(terminal)
         monkeypatch.setattr("sys.stderr", out)
-        announce = module.clock(name)
+        announce = module.Clock(name)
         for _, *told in steps:
             announce(*told)
         return out.getvalue()
@@ -61,3 +62,21 @@ def test_lines_of_one_step_are_told_apart_and_the_last_is_said(said):
     steps = [(1.0, "weighing", 1, 3), (1.01, "weighing", 2, 3), (1.02, "weighing", 3, 3)]
     lines = said(steps, terminal=False).splitlines()
     assert [line.split()[-1] for line in lines] == ["1/3", "3/3"]
+
+
+def test_what_says_nothing_for_long_is_said_to_be_at_work(monkeypatch):
+    monkeypatch.setattr(module, "_SILENCE", 0.02)
+    out = Terminal(False)
+    monkeypatch.setattr("sys.stderr", out)
+    with module.Clock("ankle") as announce:
+        time.sleep(0.1)
+        assert out.getvalue() == ""  # nothing has begun
+        announce("weighing", 2, 5)
+        deadline = time.monotonic() + 10
+        while out.getvalue().count("\n") < 3 and time.monotonic() < deadline:
+            time.sleep(0.01)
+    said = out.getvalue().splitlines()
+    assert said[0].endswith("ankle: weighing 2/5")
+    assert all(line.endswith("ankle: weighing 2/5, at work") for line in said[1:3])
+    time.sleep(0.1)
+    assert out.getvalue().splitlines() == said  # left, it says no more

@@ -58,7 +58,7 @@ def add_parser(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the subcommand."""
-    from identifiability.cli.clock import clock
+    from identifiability.cli.clock import Clock
     from identifiability.files import output_folder, write_json, write_text
     from identifiability.investigation.across.agreement import across
     from identifiability.investigation.across.weighed import SetAcross, weigh_across
@@ -77,22 +77,22 @@ def run(options: argparse.Namespace) -> int:
         )
     names = _names(options.files)
     lowpass, bounds = parse_lowpass(options.lowpass), parse_bounds(options.bounds)
-    progress = clock()
     trials = [read_trials(options, readable_files([path])) for path in options.files]
-    records = {
-        name: Investigation(some, bounds=bounds, lowpass_hz=lowpass, progress=progress)
-        for name, some in zip(names, trials, strict=True)
-    }
     out = output_folder(options.out)
     weighed: tuple[SetAcross, ...] = ()
     keys = options.effects
-    if keys is None:
-        weighed = weigh_across(records, seed=options.seed, progress=progress)
-        keys = weighed[0].effects
-    model = KBI().plus(EFFECTS[key]() for key in keys)
-    found = across(
-        records, model, may_differ=options.may_differ, seed=options.seed, progress=progress
-    )
+    with Clock() as progress:
+        records = {
+            name: Investigation(some, bounds=bounds, lowpass_hz=lowpass, progress=progress)
+            for name, some in zip(names, trials, strict=True)
+        }
+        if keys is None:
+            weighed = weigh_across(records, seed=options.seed, progress=progress)
+            keys = weighed[0].effects
+        model = KBI().plus(EFFECTS[key]() for key in keys)
+        found = across(
+            records, model, may_differ=options.may_differ, seed=options.seed, progress=progress
+        )
     record = across_record(found, weighed, command=command_line())
     write_json(out / "across.json", record)
     save(across_figure(found), out / "across.svg")

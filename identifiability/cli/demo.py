@@ -29,7 +29,7 @@ def add_parser(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the subcommand."""
-    from identifiability.cli.clock import clock
+    from identifiability.cli.clock import Clock
     from identifiability.files import output_folder
     from identifiability.inference.recordings import fit_recordings
     from identifiability.inference.widths import widths
@@ -46,20 +46,19 @@ def run(options: argparse.Namespace) -> int:
     setting = Setting(K_CE, B_CE, K_SE, INERTIA)
     results = []
     trials = example_trials()
-    said = clock("the paper's setting")
+    said = Clock("the paper's setting")
     for i, window in enumerate(WINDOWS):
         said(f"window of {1000 * window:g} ms", i + 1, len(WINDOWS))
         problem = measured_problem(setting, Impulse(), window)
         results.append(widths(problem, starts=setting.starts(), seed=1))
         write_widths(problem, results[-1], out / f"T{1000 * window:g}", f"T = {1000 * window:g} ms")
-    recording = fit_recordings(
-        trials, window_lengths=WINDOWS, seed=1, progress=clock("the shipped trials")
-    )
+    with Clock("the shipped trials") as progress:
+        recording = fit_recordings(trials, window_lengths=WINDOWS, seed=1, progress=progress)
     write_fit(recording, out / "trials")
-    said = clock("what they miss")
-    findings = investigate(trials, seed=1, progress=said)
-    said("the report", 0, 1)
-    write_investigation(findings, out / "investigation", command="identifiability demo")
+    with Clock("what they miss") as said:
+        findings = investigate(trials, seed=1, progress=said)
+        said("the report", 0, 1)
+        write_investigation(findings, out / "investigation", command="identifiability demo")
     write_demo(recording, findings, out)
 
     print(demo_text(list(zip(WINDOWS, results, strict=True)), recording, findings))

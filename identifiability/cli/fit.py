@@ -56,7 +56,7 @@ def add_parser(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the subcommand."""
-    from identifiability.cli.clock import clock
+    from identifiability.cli.clock import Clock
     from identifiability.files import output_folder
     from identifiability.inference.problem import Prior
     from identifiability.inference.recordings import fit_recordings
@@ -72,14 +72,15 @@ def run(options: argparse.Namespace) -> int:
         if not length > 0:
             raise InputError(f"found a window of {length:g} s, expected one above 0")
     out = output_folder(options.out)
-    result = fit_recordings(
-        trials,
-        window_lengths=lengths,
-        prior=prior,
-        lowpass_hz=lowpass,
-        seed=options.seed,
-        progress=clock(),
-    )
+    with Clock() as progress:
+        result = fit_recordings(
+            trials,
+            window_lengths=lengths,
+            prior=prior,
+            lowpass_hz=lowpass,
+            seed=options.seed,
+            progress=progress,
+        )
     written = write_fit(result, out)
     print(fit_text(result))
     print(f"\nwritten: {out}/" + ", ".join(written))

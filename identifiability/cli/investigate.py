@@ -73,7 +73,7 @@ def add_parser(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the subcommand."""
-    from identifiability.cli.clock import clock
+    from identifiability.cli.clock import Clock
     from identifiability.files import output_folder
     from identifiability.investigation.fits.kept import OnDisk
     from identifiability.investigation.investigate import investigate
@@ -99,18 +99,19 @@ def run(options: argparse.Namespace) -> int:
     fits = out / "fits"
     if n_fits := len(OnDisk(fits).files):
         print(f"{n_fits} fits of a run that was stopped are not done again", file=sys.stderr)
-    findings = investigate(
-        trials,
-        held_out,
-        bounds=bounds,
-        lowpass_hz=lowpass,
-        limits=limits,
-        most=options.most,
-        with_widths=not options.no_widths,
-        seed=options.seed,
-        kept=OnDisk(fits),
-        progress=clock(),
-    )
+    with Clock() as progress:
+        findings = investigate(
+            trials,
+            held_out,
+            bounds=bounds,
+            lowpass_hz=lowpass,
+            limits=limits,
+            most=options.most,
+            with_widths=not options.no_widths,
+            seed=options.seed,
+            kept=OnDisk(fits),
+            progress=progress,
+        )
     written = write_investigation(findings, out, command=command_line())
     shutil.rmtree(fits, ignore_errors=True)
     print(investigation_text(findings))

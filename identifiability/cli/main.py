@@ -24,6 +24,7 @@ def parser() -> argparse.ArgumentParser:
         investigate,
         paper,
         recordings,
+        sensitivity,
         widths,
     )
 
@@ -41,6 +42,7 @@ def parser() -> argparse.ArgumentParser:
         widths,
         paper,
         atlas,
+        sensitivity,
         effects,
         recordings,
         benchmark,

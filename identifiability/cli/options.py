@@ -230,6 +230,8 @@ def _of_two_files(options: argparse.Namespace, paths: Sequence[Path]) -> list[Tr
             "found --hold-out with --torque-from, expected one of them: some trials are held out "
             "by themselves"
         )
+    if not paths:
+        return []  # nothing is held out
     if len(options.torque_from) != len(paths):
         raise InputError(
             f"found {len(options.torque_from)} files of torque for {len(paths)} of angle, expected "

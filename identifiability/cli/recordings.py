@@ -109,7 +109,7 @@ def _before(path: Path, chosen: set[str]) -> tuple[list[dict[str, Any]], dict[st
 
 def _across(several: list[RealRecording], folder: Path, pictures: Path) -> dict[str, Any] | str:
     """Several records of one rig, by default settings; or why there is nothing to say."""
-    from identifiability.cli.clock import clock
+    from identifiability.cli.clock import Clock
     from identifiability.files import output_folder
     from identifiability.investigation.across.agreement import across
     from identifiability.investigation.across.weighed import weigh_across
@@ -121,16 +121,17 @@ def _across(several: list[RealRecording], folder: Path, pictures: Path) -> dict[
     from identifiability.plots.style import save
     from identifiability.report.across import across_record
 
-    progress = clock(several[0].rig)
     fits = output_folder(pictures / "across") / "fits"
     try:
-        studies = {
-            one.name: Investigation([one.read(folder)], kept=OnDisk(fits), progress=progress)
-            for one in several
-        }
-        weighed = weigh_across(studies, progress=progress)
-        model = KBI().plus(EFFECTS[key]() for key in weighed[0].effects)
-        found = across(studies, model, progress=progress)
+        trials = {one.name: one.read(folder) for one in several}
+        with Clock(several[0].rig) as progress:
+            studies = {
+                name: Investigation([trial], kept=OnDisk(fits), progress=progress)
+                for name, trial in trials.items()
+            }
+            weighed = weigh_across(studies, progress=progress)
+            model = KBI().plus(EFFECTS[key]() for key in weighed[0].effects)
+            found = across(studies, model, progress=progress)
     except InputError as error:
         return str(error)
     save(across_figure(found), pictures / f"{several[0].name}_rig.png")
@@ -142,7 +143,7 @@ def _across(several: list[RealRecording], folder: Path, pictures: Path) -> dict[
 
 def _investigate(one: RealRecording, folder: Path, out: Path) -> str:
     """Investigate one recording by default settings; returns why it could not be, if so."""
-    from identifiability.cli.clock import clock
+    from identifiability.cli.clock import Clock
     from identifiability.files import output_folder
     from identifiability.investigation.fits.kept import OnDisk
     from identifiability.investigation.investigate import investigate
@@ -151,7 +152,8 @@ def _investigate(one: RealRecording, folder: Path, out: Path) -> str:
     fits = output_folder(out) / "fits"
     try:
         trial = one.read(folder)
-        found = investigate([trial], with_widths=False, kept=OnDisk(fits), progress=clock(one.name))
+        with Clock(one.name) as progress:
+            found = investigate([trial], with_widths=False, kept=OnDisk(fits), progress=progress)
     except InputError as error:
         return str(error)
     write_investigation(found, out, command=one.command)

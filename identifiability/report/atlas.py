@@ -130,6 +130,11 @@ def _answer(record: Record) -> str:
             f"{_percent_signed(slow['q95'])}), which is {slow['sds']:.1f} posterior standard "
             f"deviations; in {percent(slow['beyond_two_sd'])} of the cells it is more than two."
         )
+    lines.append(
+        "- **What it hangs on.** The tolerance, below; sampling rate, correlation and draw of the "
+        "noise, bounds, a known inertia and the choice of coordinates: `identifiability "
+        "sensitivity` (`results/sensitivity.md`)."
+    )
     return "## The answer\n\n" + "\n".join(lines)
 
 

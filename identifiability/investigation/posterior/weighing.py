@@ -210,9 +210,12 @@ class Weighing:
                 noise=known.weights,
             )
 
+        what = "weighing the most probable sets further"
+        if sets:
+            self.progress(what, 0, len(sets))
         for i, (keys, found) in enumerate(zip(sets, _side_by_side(evaluated, sets), strict=True)):
             known = self.found[keys]
-            self.progress("weighing the most probable sets further", i + 1, len(sets))
+            self.progress(what, i + 1, len(sets))
             if isinstance(found, str):
                 self.failures["+".join(keys)] = found
                 if keys in self.taken_up:
