@@ -1,7 +1,6 @@
 """Continuous recordings are cut at their perturbations, and two files are laid on one clock."""
 
 import json
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -67,6 +66,18 @@ def test_a_lead_ends_half_way_to_the_perturbation_before():
     np.testing.assert_allclose(starts, [0.0, 0.6, 1.15, 1.8], atol=0.015)
 
 
+def test_both_edges_of_a_pulse_are_one_perturbation():
+    time = np.arange(0, 2, 1e-3)
+    torque = sum(2.0 * ((time > at) & (time < at + 0.15)) for at in (0.3, 1.2))
+    angle = np.convolve(torque, np.exp(-np.arange(200) / 40) / 400)[: time.size]
+    whole = Trial(time, torque, angle)
+    found = [t.time[onsets(t)[0]] for t in cut_at_onsets(whole)]
+    np.testing.assert_allclose(found, [0.3, 1.2], atol=2e-3)
+    assert len(cut_at_onsets(whole, separation=0.1)) == 4
+    with pytest.raises(InputError, match="0 s apart"):
+        cut_at_onsets(whole, separation=0)
+
+
 def test_one_perturbation_is_left_whole():
     whole = recording().between(0.0, 0.8)
     assert cut_at_onsets(whole) == (whole,)
@@ -76,13 +87,10 @@ def test_one_perturbation_is_left_whole():
 
 
 def test_trials_of_one_recording_are_shown_together():
-    parts = [
-        [SimpleNamespace(trial=t) for t in cut_at_onsets(recording(source=name, sha256=name))]
-        for name in "ab"
-    ]
-    mixed = [parts[0][2], parts[1][0], parts[0][0], parts[1][1], SimpleNamespace(trial=recording())]
+    parts = [cut_at_onsets(recording(source=name, sha256=name)) for name in "ab"]
+    mixed = [parts[0][2], parts[1][0], parts[0][0], parts[1][1], recording()]
     first, second = cut_recordings(mixed)
-    assert [p.trial.source for p in (*first, *second)] == ["a", "a", "b", "b"]
+    assert [t.source for t in (*first, *second)] == ["a", "a", "b", "b"]
     assert first == [parts[0][0], parts[0][2]]
 
 
@@ -187,6 +195,7 @@ def test_the_command_fits_two_files_that_are_cut(two_files, tmp_path, capsys):
         (["--torque-from", "{torque}", "--resample", "100"], "--resample with --torque-from"),
         (["--torque-from", "{torque}", "{torque}"], "2 files of torque for 1 of angle"),
         (["--cut", "-0.1"], "a lead of -0.1 s"),
+        (["--cut", "--cut-apart", "0"], "0 s apart"),
     ],
 )
 def test_the_command_refuses_what_does_not_fit_together(

@@ -125,6 +125,14 @@ def add_file_options(parser: argparse.ArgumentParser) -> None:
         "it; the report shows the cuts",
     )
     parser.add_argument(
+        "--cut-apart",
+        type=float,
+        default=0.2,
+        metavar="S",
+        help="perturbations that start closer than this are one, such as both edges of a pulse "
+        "(0.2)",
+    )
+    parser.add_argument(
         "--restoring",
         action="store_true",
         help="the torque recorded is the joint's reaction, not the torque applied to it",
@@ -191,7 +199,11 @@ def read_trials(options: argparse.Namespace, files: Sequence[Path] | None = None
     )
     if options.cut is None:
         return trials
-    return [part for trial in trials for part in cut_at_onsets(trial, lead=options.cut)]
+    return [
+        part
+        for trial in trials
+        for part in cut_at_onsets(trial, lead=options.cut, separation=options.cut_apart)
+    ]
 
 
 def _of_one(options: argparse.Namespace, paths: Sequence[Path]) -> list[Trial]:

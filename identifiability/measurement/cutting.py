@@ -10,11 +10,14 @@ from identifiability.measurement.trials import Trial, onsets
 LEAD = 0.1
 """Seconds before a perturbation that its trial begins."""
 
+APART = 0.2
+"""Seconds between two perturbations that are two: both edges of a pulse are one."""
+
 _NOTE = "cut at its perturbations"
 
 
 def cut_at_onsets(
-    recording: Trial, *, lead: float = LEAD, separation: float = 0.1
+    recording: Trial, *, lead: float = LEAD, separation: float = APART
 ) -> tuple[Trial, ...]:
     """Cut a recording where what was imposed starts to move (`onsets`).
 
@@ -28,8 +31,9 @@ def cut_at_onsets(
         Seconds before an onset that its trial begins; half of the time since the last onset at
         most, so that each trial has its own perturbation.
     separation : float
-        As in `onsets`: movements closer (s) than this are one perturbation. One that starts closer
-        to the end is left with the trial before.
+        Movements that start closer (s) than this to the last perturbation belong to it, as the
+        second edge of a pulse does. One that starts closer to the end is left with the trial
+        before.
 
     Returns
     -------
@@ -39,8 +43,10 @@ def cut_at_onsets(
     Raises
     ------
     InputError
-        If the lead is negative, or a trial would have a constant channel.
+        If the lead is negative, the separation not above 0, or a trial has a constant channel.
     """
+    if not separation > 0:
+        raise InputError(f"perturbations {separation:g} s apart were asked for, expected above 0")
     if not lead >= 0:
         raise InputError(f"a lead of {lead:g} s was asked for, expected 0 or more")
     interval, n = recording.dt, recording.n_samples

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from identifiability.inference.recordings import RecordingFit
 from identifiability.measurement.cutting import is_cut
-from identifiability.measurement.prepared import Prepared
+from identifiability.measurement.trials import Trial, onsets
 from identifiability.palette import BLACK, BLUE, GREY, SKY, VERMILLION
 from identifiability.plots.style import LONGEST_SHOWN, PAGE, printed
 
@@ -59,37 +59,35 @@ def overlay_figure(result: RecordingFit) -> Figure:
     return figure
 
 
-def cut_recordings(trials: Iterable[Prepared]) -> list[list[Prepared]]:
-    """Trials that were cut from one recording, in its order; by recording."""
-    by_recording: dict[tuple[str, str], list[Prepared]] = {}
-    for one in trials:
-        if is_cut(one.trial):
-            by_recording.setdefault((one.trial.source, one.trial.sha256), []).append(one)
-    return [sorted(found, key=lambda p: p.trial.time[0]) for found in by_recording.values()]
+def cut_recordings(trials: Iterable[Trial]) -> list[list[Trial]]:
+    """Trials that were cut from one recording (`cut_at_onsets`), in its order; by recording."""
+    by_recording: dict[tuple[str, str], list[Trial]] = {}
+    for trial in trials:
+        if is_cut(trial):
+            by_recording.setdefault((trial.source, trial.sha256), []).append(trial)
+    return [sorted(found, key=lambda t: t.time[0]) for found in by_recording.values()]
 
 
 @printed
-def cuts_figure(trials: Sequence[Prepared]) -> Figure:
+def cuts_figure(trials: Sequence[Trial]) -> Figure:
     """Where a recording was cut: trials that follow each other, and their perturbations.
 
     Parameters
     ----------
-    trials : sequence of Prepared
-        Of one recording, in its order (`cut_recordings`). The first eight are shown.
+    trials : sequence of Trial
+        Of one recording, in its order, as `cut_at_onsets` gives them. The first eight are shown.
     """
     shown = trials[:_MOST_CUTS]
     figure = Figure(figsize=(PAGE, 2.8))
     upper, lower = figure.subplots(2, 1, sharex=True)
     channels = {"torque": "torque [Nm]", "angle": "angle [rad]"}
-    imposed = shown[0].trial.driven
+    imposed = shown[0].driven
     response = "angle" if imposed == "torque" else "torque"
-    for number, one in enumerate(shown):
-        trial, treated = one.trial, one.treatment
+    for number, trial in enumerate(shown):
         start, end = trial.time[0], trial.time[-1]
         for axes, channel in ((upper, imposed), (lower, response)):
-            values = getattr(trial, channel) + getattr(treated, channel)
-            axes.plot(trial.time, values, color=BLACK, lw=0.9)
-            axes.axvline(trial.time[one.onsets[0]], color=VERMILLION, lw=0.9, ls="--")
+            axes.plot(trial.time, getattr(trial, channel), color=BLACK, lw=0.9)
+            axes.axvline(trial.time[onsets(trial)[0]], color=VERMILLION, lw=0.9, ls="--")
             if number % 2 == 0:
                 axes.axvspan(start, end, color=SKY, alpha=0.25, lw=0)
         upper.annotate(
@@ -102,7 +100,7 @@ def cuts_figure(trials: Sequence[Prepared]) -> Figure:
     upper.set_ylabel(f"imposed\n{channels[imposed]}")
     lower.set_ylabel(f"response\n{channels[response]}")
     lower.set_xlabel("time [s]")
-    lower.set_xlim(shown[0].trial.time[0], shown[-1].trial.time[-1])
+    lower.set_xlim(shown[0].time[0], shown[-1].time[-1])
     figure.align_ylabels([upper, lower])
     if more := len(trials) - len(shown):
         figure.suptitle(f"the first {len(shown)} trials; {more} more are not shown")

@@ -48,11 +48,15 @@ class Figures:
 
     def show_cuts(self, trials: Iterable[Prepared]) -> None:
         """Show where recordings were cut into trials, where any was."""
-        for number, cut in enumerate(cut_recordings(trials), start=1):
+        # As they were recorded, about no operating point.
+        as_recorded = [
+            p.trial.less(-p.treatment.torque, -p.treatment.angle, "put back") for p in trials
+        ]
+        for number, cut in enumerate(cut_recordings(as_recorded), start=1):
             self.show(
                 "cuts" if number == 1 else f"cuts_{number}",
                 partial(cuts_figure, cut),
-                f"{cut[0].trial.source or 'The recording'}, cut into {len(cut)} trials: one from "
+                f"{cut[0].source or 'The recording'}, cut into {len(cut)} trials: one from "
                 "before each perturbation (dashed: where it starts) to the next one's.",
                 "Imposed signal and response in time, with the trials shaded and numbered.",
             )
