@@ -60,7 +60,7 @@ def test_a_row_is_computed_again(name):
 def test_without_bounds_the_posterior_is_no_narrower_than_a_bound_made_it():
     """Where the optimum is near nothing, the bound takes half of the posterior away."""
     (asked,) = cells_named(
-        f"{ATLAS}, ", "K_CE=10 ", "B_CE=2 ", "K_SE/K_CE=10 ", "T=0.05 ", "contour"
+        f"{ATLAS}, ", ": K_CE=10 ", " B_CE=2 ", "K_SE/K_CE=10 ", "T=0.05 ", "contour"
     ).values()
     free = replace(asked, variant=Variant(bounded=False))
     bounded, unbounded = evaluate(asked), evaluate(free)
