@@ -1,17 +1,18 @@
 """Continuous recordings are cut at their perturbations, and two files are laid on one clock."""
 
-import json
-
 import numpy as np
 import pytest
 
-from identifiability.cli.main import main
+from identifiability.cli.main import main, parser
+from identifiability.cli.options import read_trials
 from identifiability.errors import InputError
-from identifiability.inference.recordings import fit_recordings
 from identifiability.measurement.cutting import cut_at_onsets, is_cut
+from identifiability.measurement.prepared import prepare_whole_band
 from identifiability.measurement.readers.two_files import ChannelFile, read_two_files
 from identifiability.measurement.trials import Trial, onsets
 from identifiability.plots.recording import cut_recordings
+from identifiability.report.figures import Figures
+from identifiability.report.page import Page
 
 K, B, INERTIA = 60.0, 1.2, 0.08
 PACE = 0.1
@@ -174,18 +175,29 @@ def test_a_file_that_has_the_other_channel_alone_says_which_is_missing(two_files
         read_two_files(torque, angle)
 
 
-@pytest.mark.usefixtures("shown_alone")
-def test_the_command_fits_two_files_that_are_cut(two_files, tmp_path, capsys):
-    angle, torque = two_files(500, 1000, late=0.02, noise=0.02)
-    out = tmp_path / "fit"
-    words = ["fit", str(angle), "--torque-from", str(torque), "--torque-late", "0.02"]
-    words += ["--driven", "angle", "--cut", "--window", "0.1", "--out", str(out)]
-    assert main(words) == 0
-    assert "figures/cuts.svg" in capsys.readouterr().out
-    assert "cut into 4 trials" in (out / "report.html").read_text()
-    notes = json.loads((out / "fit.json").read_text())["trials"][2]["notes"]
-    assert any("torque from torque.csv" in note for note in notes)
-    assert any("cut at its perturbations" in note for note in notes)
+def options_of(*words):
+    return parser().parse_args(list(map(str, words)))
+
+
+def test_the_command_reads_two_files_and_cuts_them(two_files, tmp_path):
+    angle, torque = two_files(500, 1000, late=0.02)
+    words = ["investigate", angle, "--torque-from", torque, "--torque-late", 0.02]
+    options = options_of(*words, "--driven", "angle", "--cut", "0.2", "--out", tmp_path)
+    trials = read_trials(options)
+    assert [t.name for t in trials] == [f"angle {i}" for i in (1, 2, 3, 4)]
+    np.testing.assert_allclose([t.time[0] for t in trials], STARTS - 0.2, atol=0.015)
+    assert all("torque from torque.csv" in t.notes for t in trials)
+    assert read_trials(options, []) == []  # of what is held out, where nothing is
+
+
+def test_the_report_shows_the_cuts_as_they_were_recorded(tmp_path):
+    page, trials = Page("Cuts"), cut_at_onsets(recording(noise=0.0))
+    figures = Figures(page, tmp_path)
+    figures.show_cuts(prepare_whole_band([recording()]))
+    assert figures.written == []  # nothing was cut
+    figures.show_cuts(prepare_whole_band(trials))
+    assert "figures/cuts.svg" in figures.written
+    assert "cut into 4 trials" in page.render()
 
 
 @pytest.mark.parametrize(
@@ -210,9 +222,3 @@ def test_the_command_refuses_what_does_not_fit_together(
     assert main(["fit", str(angle), *words, "--out", str(tmp_path / "out")]) == 2
     assert sentence in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
-
-
-def test_a_cut_recording_gives_the_joint_back():
-    found = fit_recordings(cut_at_onsets(recording()), window_lengths=[], seed=1)
-    for row, truth in zip(found.widths.rows, (K, B, INERTIA), strict=True):
-        assert abs(row.optimum - truth) < max(5 * row.posterior_sd, 2e-3 * truth)
