@@ -6,7 +6,7 @@ import pytest
 from identifiability.cli.main import main, parser
 from identifiability.cli.options import read_trials
 from identifiability.errors import InputError
-from identifiability.measurement.cutting import cut_at_onsets, is_cut
+from identifiability.measurement.cutting import APART, LEAD, cut_at_onsets, is_cut
 from identifiability.measurement.prepared import prepare_whole_band
 from identifiability.measurement.readers.two_files import ChannelFile, read_two_files
 from identifiability.measurement.trials import Trial, onsets
@@ -187,6 +187,8 @@ def test_the_command_reads_two_files_and_cuts_them(two_files, tmp_path):
     assert [t.name for t in trials] == [f"angle {i}" for i in (1, 2, 3, 4)]
     np.testing.assert_allclose([t.time[0] for t in trials], STARTS - 0.2, atol=0.015)
     assert all("torque from torque.csv" in t.notes for t in trials)
+    usual = options_of("fit", angle, "--cut", "--out", tmp_path)
+    assert (usual.cut, usual.cut_apart) == (LEAD, APART)
     assert read_trials(options, []) == []  # of what is held out, where nothing is
 
 

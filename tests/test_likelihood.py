@@ -248,7 +248,7 @@ def carried_noises(share, draws, own=WHITE, known=0.0):
         random = np.random.default_rng(seed)
         residual = own.draw(400, random) + through.draw(400, random)
         stretch = Stretch(residual, np.linspace(-1, 1, 400)[:, None], 0)
-        yield estimate_noise([stretch], came_in, orders, known)[0], share * unit
+        yield estimate_noise([stretch], came_in, orders, known, with_error=True)[0], share * unit
 
 
 def test_how_well_carried_noise_is_known_is_its_scatter():

@@ -55,7 +55,8 @@ class Clock:
         trace: TracebackType | None,
     ) -> None:
         """Say no more."""
-        self._over.set()
+        with self._lock:
+            self._over.set()
 
     def _say(self, now: float, added: str, *, ends: bool) -> None:
         self._told = now

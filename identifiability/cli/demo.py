@@ -46,12 +46,13 @@ def run(options: argparse.Namespace) -> int:
     setting = Setting(K_CE, B_CE, K_SE, INERTIA)
     results = []
     trials = example_trials()
-    said = Clock("the paper's setting")
-    for i, window in enumerate(WINDOWS):
-        said(f"window of {1000 * window:g} ms", i + 1, len(WINDOWS))
-        problem = measured_problem(setting, Impulse(), window)
-        results.append(widths(problem, starts=setting.starts(), seed=1))
-        write_widths(problem, results[-1], out / f"T{1000 * window:g}", f"T = {1000 * window:g} ms")
+    with Clock("the paper's setting") as said:
+        for i, window in enumerate(WINDOWS):
+            name = f"{1000 * window:g}"
+            said(f"window of {name} ms", i + 1, len(WINDOWS))
+            problem = measured_problem(setting, Impulse(), window)
+            results.append(widths(problem, starts=setting.starts(), seed=1))
+            write_widths(problem, results[-1], out / f"T{name}", f"T = {name} ms")
     with Clock("the shipped trials") as progress:
         recording = fit_recordings(trials, window_lengths=WINDOWS, seed=1, progress=progress)
     write_fit(recording, out / "trials")

@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from identifiability.measurement.cutting import is_cut
 from identifiability.measurement.prepared import Prepared
 from identifiability.plots.recording import cut_recordings, cuts_figure
 from identifiability.plots.style import COLUMN, save_printed
@@ -50,7 +51,9 @@ class Figures:
         """Show where recordings were cut into trials, where any was."""
         # As they were recorded, about no operating point.
         as_recorded = [
-            p.trial.less(-p.treatment.torque, -p.treatment.angle, "put back") for p in trials
+            p.trial.less(-p.treatment.torque, -p.treatment.angle, "put back")
+            for p in trials
+            if is_cut(p.trial)
         ]
         for number, cut in enumerate(cut_recordings(as_recorded), start=1):
             self.show(

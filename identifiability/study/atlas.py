@@ -94,8 +94,8 @@ class Cell:
         words = int(fingerprint(replace(self, seed=0)), 16)
         return int(np.random.SeedSequence([self.seed, words]).generate_state(1)[0])
 
-    def problem(self) -> Problem:
-        """Set up the fit of KBI that the cell is about."""
+    def problem(self, *, draw: int | None = None) -> Problem:
+        """Set up the fit of KBI that the cell is about, with a draw of the noise in it or none."""
         return measured_problem(
             self.setting,
             PERTURBATIONS[self.perturbation](),
@@ -104,13 +104,14 @@ class Cell:
             dE=self.dE,
             correlation_time=self.correlation_time,
             rate=self.rate,
+            seed=draw,
         )
 
     def widths(self, problem: Problem) -> Widths:
-        """All widths of K, B and I; `problem` is the cell's own."""
+        """All widths of those of K, B and I that are free; `problem` is the cell's own."""
         return widths(
             problem,
-            starts=self.setting.starts(),
+            starts=self.setting.starts()[:, list(problem.free)],
             seed=self.own_seed,
             sampler=partial(sample, enough=ENOUGH),
         )

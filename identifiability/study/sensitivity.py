@@ -9,7 +9,6 @@ import itertools
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from dataclasses import asdict, dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,13 +16,11 @@ import numpy as np
 import scipy.stats
 
 from identifiability.inference.problem import Prior, Problem
-from identifiability.inference.sampling import sample
-from identifiability.inference.widths import WIDTH_TOLERANCE, Widths, widths
+from identifiability.inference.widths import WIDTH_TOLERANCE, Widths
 from identifiability.measurement.noise import READINGS
-from identifiability.measurement.perturbations import PERTURBATIONS, WINDOWS
+from identifiability.measurement.perturbations import WINDOWS
 from identifiability.provenance import stamp
-from identifiability.study.atlas import ENOUGH, TIME_LIMIT, Cell
-from identifiability.study.setting import measured_problem
+from identifiability.study.atlas import TIME_LIMIT, Cell
 from identifiability.sweep.outcome import Arrays, Outcome
 from identifiability.sweep.run import sweep
 
@@ -88,16 +85,8 @@ class Asked:
         """The fit that it is about."""
         cell, variant = self.cell, self.variant
         draw = variant.draw
-        found = measured_problem(
-            cell.setting,
-            PERTURBATIONS[cell.perturbation](),
-            cell.T,
-            reading=cell.reading,  # type: ignore[arg-type]
-            dE=cell.dE,
-            correlation_time=variant.correlation_time,
-            rate=variant.rate,
-            seed=None if draw is None else cell.own_seed + draw,
-        )
+        changed = replace(cell, rate=variant.rate, correlation_time=variant.correlation_time)
+        found = changed.problem(draw=None if draw is None else cell.own_seed + draw)
         if not variant.bounded:
             found = found.with_prior(Prior.unbounded(found.model))
         return replace(found, fixed={"I": cell.I}) if variant.inertia_known else found
@@ -119,13 +108,7 @@ def tasks(seed: int = 1) -> dict[str, Asked]:
 def evaluate(asked: Asked) -> Arrays:
     """Predicted and posterior standard deviations of K, B and I, and whether the ellipse holds."""
     problem = asked.problem
-    starts = asked.cell.setting.starts()[:, list(problem.free)]
-    found = widths(
-        problem,
-        starts=starts,
-        seed=asked.cell.own_seed,
-        sampler=partial(sample, enough=ENOUGH),
-    )
+    found = asked.cell.widths(problem)
     predicted, spread = _spreads(found, logarithms=asked.variant.logarithms)
     whole = np.full((2, len(_NAMES)), np.nan)
     whole[:, list(problem.free)] = predicted, spread

@@ -106,7 +106,7 @@ class NoiseEstimate:
         Whether the optimiser ended by itself.
     carried_error : float
         Standard error of the carried noise's variance, over that variance: 1 where there may be
-        none, 0 where it is held at what is known of it.
+        none, 0 where it is held at what is known of it, or was not asked for.
     """
 
     own: Process
@@ -155,6 +155,8 @@ def estimate_noise(
     carried: Process | None,
     tried: Sequence[Contender],
     known: float = 0.0,
+    *,
+    with_error: bool = False,
 ) -> tuple[NoiseEstimate, tuple[Contender, ...]]:
     """Estimate the noise of residuals, given the parameters of the model.
 
@@ -170,6 +172,8 @@ def estimate_noise(
         Standard deviation that noise of the other channel has at least. A residual tells the two
         noises apart by their colour alone: where less of this one is found, it is held, and the
         instrument's own is estimated anew beside it.
+    with_error : bool
+        Whether to say how well the size of the carried noise is known, which takes further fits.
 
     Returns
     -------
@@ -216,7 +220,7 @@ def estimate_noise(
         least = known / (scale * unit)
         if found.carried_sd * _AS_KNOWN <= least:
             found = found.with_carried(least)
-        else:
+        elif with_error:
             error = found.carried_error(least)
     noise, sd = found.noise, scale * found.sd
     parts = [Process(part.ar, part.ma, part.sd * sd) for part in noise.parts]

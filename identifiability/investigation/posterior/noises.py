@@ -363,7 +363,13 @@ class Reference:
             Stretch(residual, columns[:, 1:], int(trial))
             for residual, columns, trial in zip(residuals, raw, self.band.trial, strict=True)
         ]
-        estimate, best = estimate_noise(stretches, self.carried, tried, self.band.angle_noise)
+        estimate, best = estimate_noise(
+            stretches,
+            self.carried,
+            tried,
+            self.band.angle_noise,
+            with_error=self.band.angle_imposed,
+        )
         return Weights(self.band, estimate, best)
 
     def _beside_between(self, raw: Sequence[np.ndarray], tried: Sequence[Contender]) -> Weights:

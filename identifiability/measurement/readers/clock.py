@@ -10,6 +10,7 @@ from scipy import interpolate
 
 from identifiability.errors import InputError
 from identifiability.measurement.trials import FloatArray
+from identifiability.measurement.units import Quantity
 
 MAX_JITTER: Final = 0.05
 """Relative departure of a time step from the median one, up to which it is no late sample."""
@@ -136,9 +137,17 @@ def _interpolated(samples: Samples, step: float, varied: str) -> Samples:
     grid = float(time[0]) + step * np.arange(n_steps + 1, dtype=np.float64)
     inside = np.minimum(grid, time[-1])
     note = f"resampled to {step:.9g} s (torque linear, angle PCHIP): {varied}"
-    return Samples(
-        grid,
-        np.interp(inside, time, samples.torque),
-        interpolate.PchipInterpolator(time, samples.angle)(inside),
-        (*samples.notes, note),
+    torque, angle = (
+        between(inside, time, getattr(samples, quantity), quantity)
+        for quantity in ("torque", "angle")
     )
+    return Samples(grid, torque, angle, (*samples.notes, note))
+
+
+def between(
+    moments: FloatArray, time: FloatArray, values: FloatArray, quantity: Quantity
+) -> FloatArray:
+    """Values between their samples: torque by straight lines, angle by monotone cubics (PCHIP)."""
+    if quantity == "torque":
+        return np.interp(moments, time, values)
+    return np.asarray(interpolate.PchipInterpolator(time, values)(moments))

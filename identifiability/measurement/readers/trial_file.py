@@ -20,6 +20,9 @@ from identifiability.measurement.readers.tables import Columns, Options, Table
 from identifiability.measurement.trials import FloatArray, Trial
 from identifiability.measurement.units import Quantity, parse_unit
 
+REVERSED = "sign of torque changed (recorded as the joint's reaction)"
+"""Note of a trial whose torque was."""
+
 
 def read_trial(
     path: str | Path,
@@ -92,7 +95,7 @@ def read_trial(
             time, torque, angle, notes = _samples(table, wanted, rate, resample)
             if restoring:
                 torque = -torque
-                notes = (*notes, "sign of torque changed (recorded as the joint's reaction)")
+                notes = (*notes, REVERSED)
             trial = Trial(
                 time,
                 torque,

@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from scipy import interpolate
 
 from identifiability.errors import InputError
-from identifiability.measurement.readers.clock import Samples, evenly
+from identifiability.measurement.readers.clock import Samples, between, evenly
 from identifiability.measurement.readers.columns import checked, located
 from identifiability.measurement.readers.tables import Columns, Options
 from identifiability.measurement.readers.trial_file import (
+    REVERSED,
     check_rate,
     clock_of,
     loaded,
@@ -116,7 +116,7 @@ def read_two_files(
         if late:
             notes.insert(1, f"its clock set {late:g} s later")
         if restoring:
-            notes.append("sign of torque changed (recorded as the joint's reaction)")
+            notes.append(REVERSED)
         trial = Trial(
             time,
             torques,
@@ -174,16 +174,13 @@ def _together(angle: _Channel, torque: _Channel) -> tuple[FloatArray, FloatArray
     factor = 1 if ratio < 1 + _SAME_RATE else int(np.ceil(ratio * (1 - _SAME_RATE)))
     grid = time[0] + slow.interval / factor * np.arange((time.size - 1) * factor + 1)
     inside = np.clip(grid, fast.time[0], fast.time[-1])
-    if fast is angle:
-        finely = interpolate.PchipInterpolator(fast.time, fast.values)(inside)
-        rest = finely
-    else:
-        finely = np.interp(inside, fast.time, fast.values)
-        rest = np.interp(grid, time, kept)
-    other = thinned(finely, factor, rest)
+    channel: Quantity = "angle" if fast is angle else "torque"
+    finely = between(inside, fast.time, fast.values, channel)
+    # Whether the joint rests at the ends is read from the angle.
+    angle_finely = finely if fast is angle else np.interp(grid, time, kept)
+    other = thinned(finely, factor, angle_finely)
     how = f"at {1 / slow.interval:.6g} Hz, from {time[0]:g} to {time[-1]:g} s"
     if factor > 1:
-        channel = "angle" if fast is angle else "torque"
         how += f" ({channel} recorded at {1 / fast.interval:.6g} Hz, freed of what folds back)"
     if fast is angle:
         return time, other, kept, how
