@@ -48,35 +48,54 @@ def place(typing: Any, address: Any) -> Any:
 
 @cast(Callable[..., Any], intrinsic)
 def add_product(
-    typing: Any, base: Any, matrix: Any, slopes: Any, vector: Any, out: Any, first: Any
+    typing: Any,
+    base: Any,
+    matrix: Any,
+    slopes: Any,
+    entries: Any,
+    vector: Any,
+    out: Any,
+    first: Any,
 ) -> Any:
     """Add the product of a matrix and a vector to a vector, from an entry on.
 
     ``out[i, t] = base[i, t] + matrix[i, k] vector[k, t] + slopes[i, k, t] vector[k, 0]``, for
-    contiguous arrays; `base` may be `out`.
+    contiguous arrays; `base` may be `out`, `vector` not. `entries` lists which
+    entries there are, see `duals.entries_of`: most are 0, others move with few parameters.
     """
-    signature = types.void(base, matrix, slopes, vector, out, types.intp)
+    signature = types.void(base, matrix, slopes, entries, vector, out, types.intp)
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        n, width = _shape(context, builder, signature.args[3], args[3])
-        b, a, da, x, y = _places(context, builder, signature.args[:5], args[:5])
-        ends, blocks = (args[5], n, _number(1)), (_number(0), width, _number(LANES))
+        n, width = _shape(context, builder, signature.args[4], args[4])
+        b, a, da, e, x, y = _places(context, builder, signature.args[:6], args[:6])
+        ends, blocks = (args[6], n, _number(1)), (_number(0), width, _number(LANES))
         total = cgutils.alloca_once(builder, ir.VectorType(ir.DoubleType(), LANES))
-        with (
-            cgutils.for_range_slice(builder, *ends) as (i, _),
-            cgutils.for_range_slice(builder, *blocks) as (t, _),
-        ):
-            target = builder.add(builder.mul(i, width), t)
-            builder.store(_read(builder, b, target), total)
-            with cgutils.for_range_slice(builder, *ends) as (k, _):
-                entry, row = builder.add(builder.mul(i, n), k), builder.mul(k, width)
-                value = builder.load(builder.gep(a, [entry]))
-                moved = _read(builder, x, builder.add(row, t))
-                known = _plus(builder, builder.load(total), spread(builder, value), moved)
-                first = builder.load(builder.gep(x, [row]))
-                slope = _read(builder, da, builder.add(builder.mul(entry, width), t))
-                builder.store(_plus(builder, known, slope, spread(builder, first)), total)
-            _write(builder, y, target, builder.load(total))
+
+        def add(one: Any, other: Any) -> None:
+            builder.store(_plus(builder, builder.load(total), one, other), total)
+
+        with cgutils.for_range_slice(builder, *ends) as (i, _):
+            row = builder.mul(i, n)
+            with cgutils.for_range_slice(builder, *blocks) as (t, _):
+                target = builder.add(builder.mul(i, width), t)
+                builder.store(_read(builder, b, target), total)
+                with cgutils.for_range(builder, n) as loop:
+                    listed = builder.mul(builder.add(row, loop.index), _number(3))
+                    k, begin, end = (
+                        builder.load(builder.gep(e, [builder.add(listed, _number(m))]))
+                        for m in range(3)
+                    )
+                    with builder.if_then(builder.icmp_signed("<", k, _number(0))):
+                        loop.do_break()
+                    entry, other = builder.add(row, k), builder.mul(k, width)
+                    value = spread(builder, builder.load(builder.gep(a, [entry])))
+                    add(value, _read(builder, x, builder.add(other, t)))
+                    after = builder.icmp_signed(">=", t, begin)
+                    with builder.if_then(builder.and_(after, builder.icmp_signed("<", t, end))):
+                        seen = spread(builder, builder.load(builder.gep(x, [other])))
+                        slope = builder.add(builder.mul(entry, width), t)
+                        add(_read(builder, da, slope), seen)
+                _write(builder, y, target, builder.load(total))
         return context.get_dummy_value()
 
     return signature, generate

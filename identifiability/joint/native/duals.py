@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from identifiability.joint.native.machine import LANES
 from identifiability.loops import compiled_loop
 
 _TERMS = 14  # of Taylor's series, after scaling to a 1-norm of at most 1/2
@@ -37,6 +38,37 @@ def multiplied(one: np.ndarray, other: np.ndarray, out: np.ndarray) -> None:
                 out[i, j, 0] += a * b
                 for t in range(1, width):
                     out[i, j, t] += a * other[k, j, t] + one[i, k, t] * b
+
+
+@compiled_loop
+def entries_of(matrix: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+    """Entries that there are, and between which numbers each has derivatives.
+
+    Parameters
+    ----------
+    matrix : array, shape (n, n)
+    slopes : array, shape (n, n, width)
+
+    Returns
+    -------
+    array of int, shape (n, n, 3)
+        By row, for each that is not 0, its column, the first derivative, a multiple of `LANES`, and
+        behind the last; then -1.
+    """
+    n, width = matrix.shape[0], slopes.shape[2]
+    found = np.full((n, n, 3), -1, np.int64)
+    for i in range(n):
+        count = 0
+        for j in range(n):
+            begin = end = 0
+            for t in range(width):
+                if slopes[i, j, t] != 0.0:
+                    begin = begin if end else t - t % LANES
+                    end = t + 1
+            if end or matrix[i, j] != 0.0:
+                found[i, count, 0], found[i, count, 1], found[i, count, 2] = j, begin, end
+                count += 1
+    return found
 
 
 @compiled_loop

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from identifiability.joint.native.calls import add_forced, add_product, copy_row
-from identifiability.joint.native.duals import exponential, solved
+from identifiability.joint.native.duals import entries_of, exponential, solved
 from identifiability.joint.native.moving import Imposed, Machine, linear_part, over_inertia
 from identifiability.loops import compiled_loop
 
@@ -21,12 +21,15 @@ class Propagator(NamedTuple):
         Of the state.
     slopes : array, shape (n, n, width)
         Its derivatives; 0 in the place of the value.
+    entries : array of int, shape (n, n, 3)
+        Which there are, see `duals.entries_of`.
     forced : array, shape (n, m, width)
         What it becomes by what generates the imposed signal.
     """
 
     onward: np.ndarray
     slopes: np.ndarray
+    entries: np.ndarray
     forced: np.ndarray
 
 
@@ -59,16 +62,16 @@ def propagator_of(machine: Machine, imposed: Imposed) -> Propagator:
                             imposed.interval * machine.rest[i, s, t] * imposed.signals[0, s, j]
                         )
     moved = exponential(joined)
-    found = Propagator(np.zeros((n, n)), np.zeros((n, n, width)), np.zeros((n, m, width)))
+    onward, slopes, forced = np.zeros((n, n)), np.zeros((n, n, width)), np.zeros((n, m, width))
     for i in range(n):
         for j in range(n):
-            found.onward[i, j] = moved[i, j, 0]
+            onward[i, j] = moved[i, j, 0]
             for t in range(1, wide):
-                found.slopes[i, j, t] = moved[i, j, t]
+                slopes[i, j, t] = moved[i, j, t]
         for j in range(m):
             for t in range(wide):
-                found.forced[i, j, t] = moved[i, n + j, t]
-    return found
+                forced[i, j, t] = moved[i, n + j, t]
+    return Propagator(onward, slopes, entries_of(onward, slopes), forced)
 
 
 @compiled_loop
@@ -119,7 +122,7 @@ def exact(machine: Machine, imposed: Imposed, by: Propagator, out: np.ndarray) -
             if imposed.impulses[k] != 0.0:
                 over_inertia(machine, imposed.impulses[k], state[1])
             copy_row(state, 0, out, k)
-        add_product(nothing, by.onward, by.slopes, state, moved, first)
+        add_product(nothing, by.onward, by.slopes, by.entries, state, moved, first)
         add_forced(by.forced, imposed.states[k], moved, first)
         state, moved = moved, state
 

@@ -12,7 +12,13 @@ from typing import NamedTuple
 import numpy as np
 
 from identifiability.joint.native.calls import add_product, add_rows, copy_row, run
-from identifiability.joint.native.duals import added, multiplied, phi_functions, solved
+from identifiability.joint.native.duals import (
+    added,
+    entries_of,
+    multiplied,
+    phi_functions,
+    solved,
+)
 from identifiability.joint.native.machine import LANES
 from identifiability.joint.native.moving import Imposed, Machine, over_inertia, signal
 from identifiability.loops import compiled_loop
@@ -54,12 +60,15 @@ class Scheme(NamedTuple):
     slopes : array, shape (count, 2 * count, n, n, width)
         Their derivatives; 0 in the place of the value.
     used : array of int, shape (count, 2 * count)
+    entries : array of int, shape (count, 2 * count, n, n, 3)
+        Which there are of each part, see `duals.entries_of`.
     """
 
     places: np.ndarray
     parts: np.ndarray
     slopes: np.ndarray
     used: np.ndarray
+    entries: np.ndarray
 
 
 @compiled_loop
@@ -71,6 +80,7 @@ def _set(scheme: Scheme, stage: int, of: int, matrix: np.ndarray, size: float) -
             scheme.parts[stage, of, i, j] += size * matrix[i, j, 0]
             for t in range(1, width):
                 scheme.slopes[stage, of, i, j, t] += size * matrix[i, j, t]
+    scheme.entries[stage, of] = entries_of(scheme.parts[stage, of], scheme.slopes[stage, of])
 
 
 @compiled_loop
@@ -86,6 +96,7 @@ def scheme_of(linear: np.ndarray, step: float, order: int) -> Scheme:
         np.zeros((count, 2 * count, n, n)),
         np.zeros((count, 2 * count, n, n, width)),
         np.zeros((count, 2 * count), np.int64),
+        np.zeros((count, 2 * count, n, n, 3), np.int64),
     )
     if order == 2:
         scheme.places[1] = 2
@@ -261,8 +272,11 @@ def integrated(
     for j in range(machine.theta.size):
         given[j] = machine.theta[j]
     reaction = np.zeros((n, width))
-    points, away = np.zeros((n_stages + 1, n, width)), np.zeros((n_stages + 1, n, width))
-    every, nothing = np.zeros((n_stages + 1, n, width)), np.zeros((n, width))
+    points = np.zeros((n_stages + 1, n, width))
+    # What stages follow from, in one array: rates, how far points are from the start, the rates
+    # where the step ends, and nothing. (Choosing between arrays has them counted at every step.)
+    away, ends, nothing = n_stages, 2 * n_stages + 1, 2 * n_stages + 2
+    known = np.zeros((2 * n_stages + 3, n, width))
     applied = np.zeros(imposed.signals.shape[1])
     if imposed.angle:
         signal(imposed, 0, 0, applied)
@@ -296,7 +310,7 @@ def integrated(
                     for t in range(width):
                         point[i, t] = 0.0
                     point[i, 0] = applied[i]
-            rates = every[k]
+            rates = known[k if k < n_stages else ends]
             _react(machine, point, pasts[place], applied[0], given, rates)
             if imposed.angle and k == 0 and not within:
                 copy_row(rates, 0, out, sample)
@@ -308,35 +322,35 @@ def integrated(
             copy_row(point, 1, rates, 0)
             if k == n_stages:
                 break
-            base = nothing
+            base, moved = nothing, known[away + k + 1]
             for j in range(2 * n_stages):
                 if scheme.used[k, j]:
-                    source = every[j] if j < n_stages else away[j - n_stages]
                     part, slope = scheme.parts[k, j], scheme.slopes[k, j]
-                    add_product(base, part, slope, source, away[k + 1], first)
-                    base = away[k + 1]
-            add_rows(points[0], away[k + 1], points[k + 1], first)
+                    entries = scheme.entries[k, j]
+                    add_product(known[base], part, slope, entries, known[j], moved, first)
+                    base = away + k + 1
+            add_rows(points[0], moved, points[k + 1], first)
         if idle or index == n_steps:
             continue
         arrived = points[n_stages]
         if history.shape[0]:
             if order == 2:
                 # As the scheme knows them: those of its guess, and linearly on.
-                last = every[n_stages]
+                last = known[ends]
                 for t in range(width):
-                    last[1, t] = every[1, 1, t]
+                    last[1, t] = known[1, 1, t]
                 for j in range(n):
-                    moved = arrived[j, 0] - points[1, j, 0]
-                    last[1, 0] += linear[1, j, 0] * moved
+                    change = arrived[j, 0] - points[1, j, 0]
+                    last[1, 0] += linear[1, j, 0] * change
                     for t in range(1, width):
                         last[1, t] += linear[1, j, 0] * (arrived[j, t] - points[1, j, t])
-                        last[1, t] += linear[1, j, t] * moved
+                        last[1, t] += linear[1, j, t] * change
             for t in range(width):
                 for i in range(2):
                     history[index, i, t] = points[0, i, t]
                     history[index, 3 + i, t] = arrived[i, t]
-                history[index, 2, t] = every[0, 1, t]
-                history[index, 5, t] = every[n_stages, 1, t]
-        add_rows(nothing, arrived, points[0], 0)
+                history[index, 2, t] = known[0, 1, t]
+                history[index, 5, t] = known[ends, 1, t]
+        add_rows(known[nothing], arrived, points[0], 0)
         if not imposed.angle:
             copy_row(arrived, 0, out, sample + 1)
