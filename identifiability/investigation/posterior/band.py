@@ -43,6 +43,7 @@ _ENOUGH = 3.9  # samples a cycle of the cut-off, of which every other one is eno
 _SAME_RATE = 1e-3
 _AROUND, _STANDS = 5, 0.6  # samples; steps: a filter makes less of one
 _MOST_PROBED = 2_048  # samples of which noise of an imposed angle is told
+_PROBED = 0.5  # share of those by which fits are begun, at most
 _CLEAR = 10.0  # times the noise that the motion is, up to the cut-off
 
 
@@ -141,6 +142,8 @@ class Band:
         of an imposed angle than another.
         """
         share = min(1.0, _MOST_PROBED / self.n_samples)
+        if self.most < MOST_SAMPLES:
+            share = min(share, _PROBED)  # of what begins fits
         chosen = []
         for trial in np.unique(self.trial):
             mine = np.flatnonzero(self.trial == trial)

@@ -6,8 +6,10 @@ model (restricted likelihood, one nat for each of its parameters as AICc counts 
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import TypeVar
 
 import numpy as np
 
@@ -28,7 +30,10 @@ from identifiability.investigation.posterior.noises import (
 )
 from identifiability.investigation.posterior.prior import priors_of
 from identifiability.joint.model import Model
+from identifiability.joint.programs import THREADS
 from identifiability.joint.scheme import Scheme
+
+_Start = TypeVar("_Start")
 
 NOISE_SHARE = 0.02
 """Share of the response's energy that is noise, the mean of an exponential prior: more than a few
@@ -68,7 +73,9 @@ class Evaluated:
     directions : array, shape (n, k)
         Whitened derivatives by these coordinates.
     precision : array, shape (k, k)
-        Of these coordinates.
+        Of these coordinates, as if the imposed signal were free of noise.
+    covariance : array, shape (k, k)
+        Of the same, of the estimate: by noise of an imposed angle as well.
     white : array, shape (n,)
         Whitened residual.
     raw : list of array
@@ -91,6 +98,7 @@ class Evaluated:
     turns: np.ndarray
     directions: np.ndarray
     precision: np.ndarray
+    covariance: np.ndarray
     white: np.ndarray
     raw: list[np.ndarray]
     probes: Sequence[np.ndarray] = ()
@@ -109,8 +117,8 @@ class Evaluated:
 
     @property
     def sds(self) -> dict[str, float]:
-        """Standard deviations of the free parameters by curvature; 0 at a bound."""
-        spread = self.turns @ np.linalg.pinv(self.precision, hermitian=True) @ self.turns.T
+        """Standard deviations of the free parameters; 0 at a bound."""
+        spread = self.turns @ self.covariance @ self.turns.T
         sds = np.sqrt(np.maximum(np.diag(spread), 0.0))
         return dict(zip(self.problem.names, sds.tolist(), strict=True))
 
@@ -210,13 +218,12 @@ class Evaluator:
             model, refined=refined, scheme=scheme, probes=self.reference.probes
         )
         also = noise.contenders[:1] if noise is not None else ()
-        best = max(
-            (
-                self.settled(problem, points, weights, refined, least, also)
-                for points, weights in self._begun(problem, starts, refined, noise, resolved)
-            ),
-            key=lambda one: one.log_evidence,
-        )
+
+        def settled(begun: tuple[np.ndarray, Weights]) -> Evaluated:
+            return self.settled(problem, *begun, refined, least, also)
+
+        begun = self._begun(problem, starts, refined, noise, resolved)
+        best = _best_of(settled, list(begun))
         if nested is not None and best.log_likelihood < nested.log_likelihood - _MISSED:
             point = problem.free_vector(nested_values(model, nested.values))
             start = inside(problem, point[None])
@@ -271,19 +278,14 @@ class Evaluator:
             model, refined=refined, scheme=scheme, probes=self.reference.probes
         )
         beginnings = self._beginnings(problem, starts)
-        ends = [
-            self.settled(
-                problem,
-                beginnings.best(weights, _CARRIED),
-                weights,
-                refined,
-                rounds=1,
-                most=1,
-                further=EVALUATIONS,
+
+        def settled(weights: Weights) -> Evaluated:
+            points = beginnings.best(weights, _CARRIED)
+            return self.settled(
+                problem, points, weights, refined, rounds=1, most=1, further=EVALUATIONS
             )
-            for weights in (noise, self.white)
-        ]
-        return max(ends, key=lambda one: one.log_evidence)
+
+        return _best_of(settled, (noise, self.white))
 
     @staticmethod
     def _finer(problem: Problem, found: Evaluated) -> Scheme | None:
@@ -444,6 +446,9 @@ class Evaluator:
         turns = np.diag(turn)[:, inside]
         directions = jacobian @ turns
         own = directions.T @ directions + np.diag([priors[i].sd ** -2 for i in inside])
+        covariance = np.linalg.pinv(own, hermitian=True)
+        if probe is not None:
+            covariance = weighed.covariance(own, probe, turns)
         return Evaluated(
             problem,
             dict(zip(problem.model.parameter_names, map(float, problem.complete(x)), strict=True)),
@@ -455,6 +460,7 @@ class Evaluator:
             turns,
             directions,
             own,
+            covariance,
             residual,
             raw,
             probes or (),
@@ -473,3 +479,9 @@ class Evaluator:
         if name in ("K", "B", "I") or parameter.plain is not None:
             return False
         return parameter.null is None and not parameter.ends_form
+
+
+def _best_of(evaluated: Callable[[_Start], Evaluated], starts: Sequence[_Start]) -> Evaluated:
+    """The most probable of several ends of one fit, sought side by side."""
+    with ThreadPoolExecutor(THREADS) as pool:
+        return max(pool.map(evaluated, starts), key=lambda one: one.log_evidence)

@@ -41,6 +41,7 @@ from identifiability.progress import Progress, silent
 
 Keys = tuple[str, ...]
 _Task = TypeVar("_Task")
+_Found = TypeVar("_Found")
 
 LOST = 60.0
 """Log evidence [nats] behind the best from which a set is not fitted any further."""
@@ -51,6 +52,10 @@ _MOST_ROUNDS = 4  # in which sets are given what the likeliest has
 _FAR = 0.05  # share of what the best of its size gained, that a set may lack
 _SURE = 3.0  # nats by which values that no joint has must be better, to count
 _DRIFT = "sensor_drift"  # the effect that a discrepancy of the kind "drift" is
+_OUT_OF_REACH = 20.0
+"""Nats that a description is behind the best set by a part of a long record's samples, from which
+all of them do not make up for it: four times as many make it four times as much worse, give or take
+twice the root of that."""
 _SAME = 0.5  # nats by which two evidences of one thing may differ
 
 
@@ -136,6 +141,7 @@ class Weighing:
     taken_up: dict[Keys, Evaluated] = field(default_factory=dict)
     described: dict[Keys, dict[str, Evaluated]] = field(default_factory=dict)
     failures: dict[str, str] = field(default_factory=dict)
+    _out_of_reach: set[tuple[Keys, str]] = field(default_factory=set)
 
     @property
     def _evaluations(self) -> Evaluations:
@@ -236,7 +242,7 @@ class Weighing:
         What comes near is looked for again once all have what the likeliest has.
         """
         for _ in range(_MOST_ROUNDS):
-            while left := [k for k in self._within(_CONTENDS) if not self._is_taken_up(k)]:
+            while left := [k for k in self._within(_CONTENDS) if not self.is_taken_up(k)]:
                 self.take_up(left)
             if not self._share():
                 break
@@ -247,7 +253,8 @@ class Weighing:
         least = self.score(ranked[0]) - nats
         return [keys for keys in ranked[:_MOST_BESIDE] if self.score(keys) > least]
 
-    def _is_taken_up(self, keys: Keys) -> bool:
+    def is_taken_up(self, keys: Keys) -> bool:
+        """Whether a set was evaluated further, from where its fit ended."""
         return self.taken_up.get(keys) is self.found[keys]
 
     def _share(self) -> bool:
@@ -282,24 +289,40 @@ class Weighing:
             if isinstance(found, str):
                 continue  # it stays as it was
             better |= found.log_evidence > self.found[keys].log_evidence + _SAME
-            if self._is_taken_up(keys):
+            if self.is_taken_up(keys):
                 self.taken_up[keys] = found
             self.found[keys] = found
         return better
 
     def describe(self) -> None:
-        """Evaluate descriptions in the place of effects of the best set of every size."""
+        """Evaluate descriptions in the place of effects of the best set of every size.
+
+        Of a long record only those that come near by a part of the samples.
+        """
         ranked = sorted(self.found, key=lambda keys: -self.score(keys))
         jobs: dict[tuple[Keys, str], tuple[Description, Keys]] = {}
         for keys in {len(keys): keys for keys in reversed(ranked)}.values():
             for one in descriptions_of(self.found[keys], self.base, self.library):
-                if one.rest in self.found and one.key not in self.described.get(one.rest, {}):
+                known = self.described.get(one.rest, {})
+                if one.rest not in self.found or one.key in known:
+                    continue
+                if (one.rest, one.key) not in self._out_of_reach:
                     jobs.setdefault((one.rest, one.key), (one, keys))
+        if not jobs:
+            return
 
-        def evaluated(job: tuple[Description, Keys]) -> Evaluated:
-            one, keys = job
+        least = self._by_fewer(self.found[ranked[0]]) - _OUT_OF_REACH
+
+        def evaluated(job: tuple[Description, Keys]) -> Evaluated | None:
+            (one, keys), fewer = job, self.evaluator.coarse
+            starts = one.starts
+            if fewer is not None:
+                begun = fewer.evaluate(one.model, starts, refined=one.refined, resolved=False)
+                if begun.log_evidence < least:
+                    return None
+                starts = [begun.values]
             return self._evaluations.evaluate(
-                one.model, one.starts, refined=one.refined, noise=self.found[keys].weights
+                one.model, starts, refined=one.refined, noise=self.found[keys].weights
             )
 
         done = _side_by_side(evaluated, list(jobs.values()))
@@ -308,8 +331,26 @@ class Weighing:
             known = self.described.setdefault(rest, {})
             if isinstance(found, str):
                 self.failures["+".join((*rest, key))] = found
+            elif found is None:
+                self._out_of_reach.add((rest, key))
             else:
                 known[key] = found
+
+    def _by_fewer(self, found: Evaluated) -> float:
+        """Log evidence [nats] of a set by a part of a long record's samples; of others none."""
+        fewer = self.evaluator.coarse
+        if fewer is None:
+            return -np.inf
+        try:
+            return fewer.evaluate(
+                found.model,
+                [found.values],
+                refined=found.refined,
+                scheme=found.scheme,
+                resolved=False,
+            ).log_evidence
+        except (ValueError, ArithmeticError, np.linalg.LinAlgError):
+            return -np.inf
 
     def _near(self) -> list[Keys]:
         """Sets that come near the best, and the best of every size."""
@@ -491,11 +532,11 @@ class Weighing:
 
 
 def _side_by_side(
-    evaluated: Callable[[_Task], Evaluated], jobs: Sequence[_Task]
-) -> Iterator[Evaluated | str]:
+    evaluated: Callable[[_Task], _Found], jobs: Sequence[_Task]
+) -> Iterator[_Found | str]:
     """Evaluations of several models at a time, in order, or why there is none."""
 
-    def attempt(job: _Task) -> Evaluated | str:
+    def attempt(job: _Task) -> _Found | str:
         try:
             return evaluated(job)
         except (ValueError, ArithmeticError, np.linalg.LinAlgError) as error:
