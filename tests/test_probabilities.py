@@ -360,7 +360,7 @@ class Valued:
     """An evaluator whose evidence is given, by the keys of the effects."""
 
     def __init__(self, **log_evidence):
-        self.log_evidence, self.asked = log_evidence, []
+        self.log_evidence, self.asked, self.coarse = log_evidence, [], None
 
     def evaluate(self, model, starts, *, refined=(), **how):
         self.asked.append(model.effect_keys)

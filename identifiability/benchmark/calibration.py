@@ -135,6 +135,8 @@ def score(spec: BlindSpec) -> BlindScore:
     began = time.perf_counter()
     study = Investigation(case.fit, case.held_out)
     found: Probabilities = study.weigh(seed=spec.seed)
+    if (other := study.otherwise(found, seed=spec.seed)) is not None:
+        study, found = other, other.weigh(seed=spec.seed)
     claim = study.claim(found)
     truth = None if case.kind == "unknown" else case.truth
     return BlindScore(

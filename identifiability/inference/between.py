@@ -10,66 +10,79 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 
 from identifiability.errors import InputError
 from identifiability.inference.fitting import explore
+from identifiability.inference.noisy import fit_noisy
 from identifiability.inference.problem import Prior, Problem, observe
 from identifiability.inference.starts import first_guess
 from identifiability.joint.model import KBI
-from identifiability.measurement.noise import Noise, correlation_time
+from identifiability.measurement.noise import Noise
 from identifiability.measurement.prepared import Prepared
 
+Between = Literal["auto", "straight", "smooth"]
+"""How a torque runs between its samples; "auto": as the response tells."""
+
+DECISIVE = 5.0
+"""Nats by which a smooth torque has to be likelier: less may be what K, B and I lack."""
+
+MATTERS = 1e-3
+"""Share of the misfit that the difference is, below which it cannot be told."""
+
 _MOST, _SETTLED = 4096, 0.25  # samples of a trial that are looked at; share not compared in motion
-_MATTERS = 1e-3  # share of the misfit that the difference is, below which it cannot be told
-_DECISIVE = 5.0  # nats: less may be an effect that K, B and I lack, which the curve mends a little
 _EVALUATIONS, _FURTHER = 20, 40
 
 
-def joined(prepared: Sequence[Prepared]) -> tuple[Prepared, ...]:
-    """Trials with their torque straight or smooth between the samples, whichever fits better.
+def joined(prepared: Sequence[Prepared], between: Between = "auto") -> tuple[Prepared, ...]:
+    """Trials with their torque straight or smooth between the samples, whichever is likelier.
 
-    By K, B and I fitted to them one way and the other. Straight, where that is not clearly worse,
-    or where the angle was imposed.
+    By K, B and I and their noise, fitted to them one way and the other: what passes for little by
+    least squares may be many standard deviations in noise of another colour. Straight, where that
+    is not clearly less likely, or where the angle was imposed.
 
     Parameters
     ----------
     prepared : sequence of Prepared
+    between : {"auto", "straight", "smooth"}
+        Which, where that is known.
     """
     straight = tuple(prepared)
-    if straight[0].trial.driven == "angle":
+    if between == "straight" or straight[0].trial.driven == "angle":
         return straight
+    if between == "smooth":
+        return tuple(p.smooth() for p in straight)
     try:
         smooth = tuple(p.smooth() for p in straight)
         guess = first_guess([p.trial for p in straight], Prior.recorded(KBI()))
         starts = np.array([guess, guess * [3.0, 0.3, 1.0]])
-        lines, curves = _problem(straight), _problem(smooth)
-        by_lines = explore(lines, starts, evaluations=_EVALUATIONS, further=_FURTHER)
-        left = lines.residuals(by_lines.values)
-        differ = curves.residuals(by_lines.values) - left
-        if differ @ differ < _MATTERS**2 * (left @ left):
+        (lines, chosen), (curves, _) = _problem(straight), _problem(smooth)
+        by_lines = explore(lines, starts, evaluations=_EVALUATIONS, further=_FURTHER).values
+        left = lines.residuals(by_lines)
+        differ = curves.residuals(by_lines) - left
+        if differ @ differ < MATTERS**2 * (left @ left):
             return straight
         by_curves = explore(
-            curves, by_lines.values[None], evaluations=_EVALUATIONS, further=_FURTHER
-        )
-    except InputError:
+            curves, by_lines[None], evaluations=_EVALUATIONS, further=_FURTHER
+        ).values
+        one, other = fit_noisy(lines, chosen, by_lines), fit_noisy(curves, chosen, by_curves)
+    except (InputError, ValueError, np.linalg.LinAlgError):
         return straight  # nothing to be told by K, B and I; their fit says so
-    pieces = [row[row != 0] for row in lines.by_observation(left)]
-    worth = lines.n_samples / correlation_time(*pieces)
-    gained = 0.5 * worth * np.log(by_lines.cost / by_curves.cost)
-    return smooth if gained > _DECISIVE else straight
+    return smooth if other.log_likelihood - one.log_likelihood > DECISIVE else straight
 
 
-def _problem(prepared: Sequence[Prepared]) -> Problem:
-    """K, B and I of the beginning of each trial, each weighing by its own energy."""
-    observations = []
+def _problem(prepared: Sequence[Prepared]) -> tuple[Problem, list[list[np.ndarray]]]:
+    """K, B and I of the beginning of each trial, and the samples that are compared."""
+    observations, stretches = [], []
     for p in prepared:
         n = min(p.response.size, _MOST)
         drive = replace(p.drive, states=p.drive.states[:n], impulses=p.drive.impulses[:n])
         first = 0 if p.recorded_lead.n_samples else round(_SETTLED * n)
         chosen = np.arange(first, n)
         segment = np.zeros(chosen.size, int) if p.has_offset else None
-        noise = Noise(float(np.std(p.response[:n])) or 1.0)
-        observations.append(observe(drive, p.response[:n], noise, select=chosen, segment=segment))
-    return Problem(KBI(), observations, Prior.recorded(KBI()))
+        compared = observe(drive, p.response[:n], Noise(1.0), select=chosen, segment=segment)
+        observations.append(compared)
+        stretches.append([chosen])
+    return Problem(KBI(), observations, Prior.recorded(KBI())), stretches

@@ -60,6 +60,22 @@ class NoisyFit:
     corrected: bool
     drowned: bool
 
+    @property
+    def log_likelihood(self) -> float:
+        """In nats but for a constant, the stretches' levels marginalised, without corrections."""
+        colour = self.problem.colour
+        assert colour is not None
+        total = -float(self.fit.cost)
+        for row, of_one in enumerate(colour.stretches):
+            noise = colour.noises[colour.which[row]]
+            level = float(noise.levels[colour.trial[row]])
+            for samples in of_one:
+                whitening = noise.noise.whitening(samples.size)
+                length = np.linalg.norm(whitening(np.ones((samples.size, 1)))) / level
+                total -= 0.5 * whitening.log_determinant(samples.size)
+                total -= samples.size * np.log(level) + np.log(length)
+        return total
+
 
 def fit_noisy(
     problem: Problem, stretches: Sequence[Sequence[np.ndarray]], start: np.ndarray

@@ -78,6 +78,22 @@ def investigate(
         kept=kept,
         progress=progress,
     )
+    return _investigated(
+        study, limits=limits, most=most, with_widths=with_widths, seed=seed, progress=progress
+    )
+
+
+def _investigated(
+    study: Investigation,
+    *,
+    limits: Limits | None,
+    most: int | None,
+    with_widths: bool,
+    seed: int,
+    progress: Progress,
+    as_it_is: bool = False,
+) -> Findings:
+    """The same of trials that are ready; those with the torque `as_it_is` between samples."""
     failures: dict[str, str] = {}
     timings: dict[str, float] = {}
 
@@ -110,6 +126,23 @@ def investigate(
         )
         with timed("probabilities"):
             posterior = attempt("probabilities", lambda: study.weigh(most=most, seed=seed))
+            other = None
+            if posterior is not None and not as_it_is:
+                other = attempt(
+                    "torque between the samples", lambda: study.otherwise(posterior, seed=seed)
+                )
+        if other is not None:
+            unexplained_before.cancel()
+            progress(f"once more, the torque {other.torque_between} between its samples", 0, 1)
+            return _investigated(
+                other,
+                limits=limits,
+                most=most,
+                with_widths=with_widths,
+                seed=seed,
+                progress=progress,
+                as_it_is=True,
+            )
         claimed = study.claim(posterior).kind if posterior is not None else ""
         nested = None
         if posterior is not None and claimed == "effects":

@@ -3,10 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from functools import cached_property
+from typing import Literal
 
+import numpy as np
 from threadpoolctl import threadpool_limits
 
+from identifiability.errors import InputError
+from identifiability.inference.between import DECISIVE, MATTERS, Between
 from identifiability.inference.widths import Widths
 from identifiability.investigation.fits.baseline import (
     fit_baseline,
@@ -33,6 +38,7 @@ from identifiability.investigation.posterior.nested import weigh_nested
 from identifiability.investigation.posterior.probabilities import Probabilities
 from identifiability.investigation.posterior.reference import evaluator_of
 from identifiability.investigation.posterior.search import weigh
+from identifiability.investigation.posterior.weighing import log_prior
 from identifiability.investigation.rules import Rules
 from identifiability.investigation.smallest_seen.detectable import Detectable, detectable
 from identifiability.investigation.split import Split, gather
@@ -50,6 +56,10 @@ from identifiability.provenance import fingerprint
 _MOVING = (
     "the joint already moves before the first onset, as K, B and I say it should: the noise is not"
     " known from there"
+)
+
+_OTHERWISE = (
+    "the torque is taken to be {} between its samples: with what was found missing that is likelier"
 )
 
 # Linear algebra of many small matrices: more threads wait for each other, and sum in another order.
@@ -77,6 +87,9 @@ class Investigation:
     lowpass_hz : float, "auto" or None
         Zero-phase low-pass [Hz] of both channels where the angle is imposed; "auto" is the usual
         one, or that above which the angle is but noise (`noise_cutoff`).
+    torque_between : {"auto", "straight", "smooth"}
+        How an imposed torque runs between its samples; "auto": as K, B and I say. Ask
+        `otherwise` once it is known what they miss.
     rules : Rules, optional
         Conventions that decisions go by.
     kept : Kept, optional
@@ -110,6 +123,7 @@ class Investigation:
         library: Mapping[str, type[Effect]] | None = None,
         bounds: Mapping[str, tuple[float, float]] | None = None,
         lowpass_hz: Lowpass = "auto",
+        torque_between: Between = "auto",
         rules: Rules | None = None,
         kept: Kept | None = None,
         progress: Progress = silent,
@@ -117,7 +131,9 @@ class Investigation:
         self.model = KBI() if model is None else model
         self.library = dict(EFFECTS if library is None else library)
         self.progress = progress
-        split = gather(trials, held_out, lowpass_hz=lowpass_hz, rules=rules)
+        split = gather(
+            trials, held_out, lowpass_hz=lowpass_hz, torque_between=torque_between, rules=rules
+        )
         self.bench = Workbench(split, dict(bounds or {}), InMemory() if kept is None else kept)
         self._recorded = tuple(trials), tuple(held_out), lowpass_hz
         self._evaluators: dict[int, Evaluator] = {}
@@ -129,6 +145,11 @@ class Investigation:
     def split(self) -> Split:
         """Trials that models are fitted to, and those they are judged on."""
         return self.bench.split
+
+    @property
+    def torque_between(self) -> Literal["straight", "smooth"]:
+        """How an imposed torque is taken to run between its samples."""
+        return self.split.fitted[0].treatment.torque_between
 
     @cached_property
     def baseline(self) -> Candidate:
@@ -205,10 +226,72 @@ class Investigation:
             kept, self.baseline, self.library, posterior, self.bench.rules, self.progress
         )
 
+    @_one_thread
+    def otherwise(self, posterior: Probabilities, *, seed: int = 1) -> Investigation | None:
+        """The same trials with their torque otherwise between its samples, if that is likelier.
+
+        By the most probable model: K, B and I alone cannot tell where they miss something.
+
+        Parameters
+        ----------
+        posterior : Probabilities
+            Of these trials as they are.
+        seed : int
+            See `weigh`.
+
+        Returns
+        -------
+        Investigation or None
+            None where it is not, or where the angle was imposed.
+        """
+        trials, held_out, lowpass_hz = self._recorded
+        if trials[0].driven == "angle":
+            return None
+        other = Investigation(
+            trials,
+            held_out,
+            model=self.model,
+            library=self.library,
+            bounds=self.bench.bounds,
+            lowpass_hz=lowpass_hz,
+            torque_between="straight" if self.torque_between == "smooth" else "smooth",
+            rules=self.bench.rules,
+            kept=self.bench.kept,
+            progress=self.progress,
+        )
+        self.progress("weighing the torque between its samples", 0, 1)
+        best = posterior.best
+        one = posterior.sets[best].candidate
+        problems = [
+            study._evaluator(seed).band.problem(one.model, refined=one.refined, scheme=one.scheme)
+            for study in (self, other)
+        ]
+        own, others = (p.residuals(p.free_vector(one.values)) for p in problems)
+        if (others - own) @ (others - own) < MATTERS**2 * (own @ own):
+            return None
+        # An effect may have done what the torque's form would: such as a low-pass filter.
+        without = (tuple(k for k in best if k != key) for key in best)
+        sets = {keys: posterior.sets[keys] for keys in (best, *without) if keys in posterior.sets}
+        every = len(self.library) + 1
+        gained = [-np.inf]
+        for keys, known in sets.items():
+            one = known.candidate
+            with suppress(InputError, ArithmeticError, np.linalg.LinAlgError):
+                found = other._evaluator(seed).evaluate(
+                    one.model, [one.values], refined=one.refined, scheme=one.scheme
+                )
+                gained.append(found.log_evidence + log_prior(len(keys), every))
+        least = posterior.sets[best].log_evidence + log_prior(len(best), every)
+        if not max(gained) > least + DECISIVE:
+            return None
+        other.remarks = (*other.remarks, _OTHERWISE.format(other.torque_between))
+        return other
+
     def _evaluations(self, evaluator: Evaluator, seed: int, part: str) -> Evaluations:
         """What evaluates models, and keeps them where every fit is kept."""
         folder = self.bench.kept.folder if isinstance(self.bench.kept, OnDisk) else None
-        known = self.bench.identity, self.baseline.values, self._recorded[2], seed, part
+        how = self._recorded[2], self.torque_between
+        known = self.bench.identity, self.baseline.values, *how, seed, part
         return Evaluations(evaluator, folder, fingerprint(*known))
 
     def _evaluator(self, seed: int) -> Evaluator:
@@ -219,6 +302,7 @@ class Investigation:
                 trials,
                 held_out,
                 lowpass_hz=lowpass_hz,
+                torque_between=self.torque_between,
                 bounds=self.bench.bounds,
             )
             self._evaluators[seed] = evaluator_of(band, self.baseline.values, seed=seed)

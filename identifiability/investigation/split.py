@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from identifiability.errors import InputError
-from identifiability.inference.between import joined
+from identifiability.inference.between import Between, joined
 from identifiability.inference.problem import Observation
 from identifiability.investigation.pieces import MOST_SAMPLES, pieces, remembering
 from identifiability.investigation.rules import Rules
@@ -116,6 +116,7 @@ def gather(
     held_out: Sequence[Trial] = (),
     *,
     lowpass_hz: Lowpass = "auto",
+    torque_between: Between = "auto",
     rules: Rules | None = None,
 ) -> Split:
     """Make trials ready, and choose what to hold out where nothing is named: see `hold_out`.
@@ -128,6 +129,8 @@ def gather(
         Trials that no model is fitted to.
     lowpass_hz : float, "auto" or None
         Zero-phase low-pass where the angle is imposed: see `cutoff`.
+    torque_between : {"auto", "straight", "smooth"}
+        How an imposed torque runs between its samples: see `joined`.
     rules : Rules, optional
         Conventions that everything after goes by.
 
@@ -142,7 +145,7 @@ def gather(
     """
     if not trials:
         raise InputError("found no trials to fit, expected at least one")
-    prepared = joined(prepare([*trials, *held_out], lowpass_hz=lowpass_hz))
+    prepared = joined(prepare([*trials, *held_out], lowpass_hz=lowpass_hz), torque_between)
     parts = hold_out(prepared, len(held_out))
     every = (*parts.fitted, *parts.held_out)
     longest = max(p.last - p.first for p in every)

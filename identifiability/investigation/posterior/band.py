@@ -17,7 +17,7 @@ from scipy.interpolate import CubicSpline
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
 from identifiability.errors import InputError
-from identifiability.inference.between import joined
+from identifiability.inference.between import Between, joined
 from identifiability.inference.problem import Observation, Prior, Problem
 from identifiability.inference.starts import plain_values
 from identifiability.investigation.pieces import MOST_SAMPLES, owners, pieces, remembering
@@ -305,6 +305,7 @@ def band_of(
     held_out: Sequence[Trial],
     *,
     lowpass_hz: Lowpass = "auto",
+    torque_between: Between = "auto",
     bounds: Mapping[str, tuple[float, float]] | None = None,
 ) -> Band:
     """Make the trials of an investigation ready for the likelihood.
@@ -316,6 +317,8 @@ def band_of(
         which others fail is what tells them apart.
     lowpass_hz : float, "auto" or None
         Where the angle is imposed, the frequency [Hz] above which it is noise: see `cutoff`.
+    torque_between : {"auto", "straight", "smooth"}
+        How an imposed torque runs between its samples: see `joined`.
     bounds : mapping of str to (float, float), optional
         Other bounds than the physical ones.
 
@@ -330,7 +333,7 @@ def band_of(
         lowpass_hz = noise_cutoff(every, _CLEAR)
     step = max(rounding_step(trial.angle) for trial in recorded)
     if every[0].driven == "torque":
-        ready = tuple(remembering(joined(prepare_whole_band(every))))
+        ready = tuple(remembering(joined(prepare_whole_band(every), torque_between)))
         return Band(ready, 1, dict(bounds or {}), step=step)
     cutoff_hz = cutoff(every, lowpass_hz) or HIGHEST_HZ
     fitted, halved = _moved_by_angles(every, cutoff_hz)

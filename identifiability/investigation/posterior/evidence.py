@@ -73,9 +73,7 @@ class Evaluated:
     directions : array, shape (n, k)
         Whitened derivatives by these coordinates.
     precision : array, shape (k, k)
-        Of these coordinates, as if the imposed signal were free of noise.
-    covariance : array, shape (k, k)
-        Of the same, of the estimate: by noise of an imposed angle as well.
+        Of these coordinates.
     white : array, shape (n,)
         Whitened residual.
     raw : list of array
@@ -98,7 +96,6 @@ class Evaluated:
     turns: np.ndarray
     directions: np.ndarray
     precision: np.ndarray
-    covariance: np.ndarray
     white: np.ndarray
     raw: list[np.ndarray]
     probes: Sequence[np.ndarray] = ()
@@ -117,8 +114,8 @@ class Evaluated:
 
     @property
     def sds(self) -> dict[str, float]:
-        """Standard deviations of the free parameters; 0 at a bound."""
-        spread = self.turns @ self.covariance @ self.turns.T
+        """Standard deviations of the free parameters by curvature; 0 at a bound."""
+        spread = self.turns @ np.linalg.pinv(self.precision, hermitian=True) @ self.turns.T
         sds = np.sqrt(np.maximum(np.diag(spread), 0.0))
         return dict(zip(self.problem.names, sds.tolist(), strict=True))
 
@@ -446,9 +443,6 @@ class Evaluator:
         turns = np.diag(turn)[:, inside]
         directions = jacobian @ turns
         own = directions.T @ directions + np.diag([priors[i].sd ** -2 for i in inside])
-        covariance = np.linalg.pinv(own, hermitian=True)
-        if probe is not None:
-            covariance = weighed.covariance(own, probe, turns)
         return Evaluated(
             problem,
             dict(zip(problem.model.parameter_names, map(float, problem.complete(x)), strict=True)),
@@ -460,7 +454,6 @@ class Evaluator:
             turns,
             directions,
             own,
-            covariance,
             residual,
             raw,
             probes or (),

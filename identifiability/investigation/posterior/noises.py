@@ -29,7 +29,6 @@ from identifiability.inference.likelihood.estimate import (
 from identifiability.inference.likelihood.processes import Process, Whitening
 from identifiability.inference.problem import Observation, Problem
 from identifiability.investigation.posterior.band import Band
-from identifiability.investigation.posterior.laplace import less
 from identifiability.joint.model import Model
 
 _CEILING = 6.0  # of what probes take off, so that the rest of the sum of squares stays positive
@@ -226,27 +225,6 @@ class Weighed:
             As `whitened` gives it.
         """
         return float(probe[:, 0] @ probe[:, 0]) < self.most_taken
-
-    def covariance(self, precision: np.ndarray, probe: np.ndarray, turns: np.ndarray) -> np.ndarray:
-        """Covariance of an estimate from a noisy angle (Nakamura 1990, see `coloured`).
-
-        Noise of the angle takes from the slope of the score, not from its variance. And as far as
-        its size is uncertain, so is what was taken off for it.
-
-        Parameters
-        ----------
-        precision : array, shape (k, k)
-            Of some coordinates, as if there were no such noise.
-        probe : array, shape (n, 1 + n_free)
-            As `whitened` gives it.
-        turns : array, shape (n_free, k)
-            To these coordinates.
-        """
-        taken = probe[:, 1:] @ turns
-        slope = less(precision, taken) if self.takes_all(probe) else precision
-        back = np.linalg.pinv(slope, hermitian=True)
-        shift = self.weights.estimate.carried_error * back @ (taken.T @ probe[:, 0])
-        return np.asarray(back @ precision @ back + np.outer(shift, shift))
 
     @property
     def most_taken(self) -> float:

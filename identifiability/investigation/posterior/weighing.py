@@ -370,8 +370,7 @@ class Weighing:
 
     def log_prior(self, n_effects: int) -> float:
         """Of one set of so many effects, the unknown counted as one of the library."""
-        every = len(self.library) + 1
-        return -log(comb(every, min(n_effects, every)))
+        return log_prior(n_effects, len(self.library) + 1)
 
     def score(self, keys: Keys) -> float:
         """Log evidence and log prior [nats] of a set whose equations are exact."""
@@ -529,6 +528,11 @@ class Weighing:
         except (ValueError, np.linalg.LinAlgError) as error:
             self.failures[f"{'+'.join(keys)} and a discrepancy"] = str(error)
             return None
+
+
+def log_prior(n_effects: int, every: int) -> float:
+    """Log prior [nats] of one set of so many effects of `every`, but for a constant."""
+    return -log(comb(every, min(n_effects, every)))
 
 
 def _side_by_side(
