@@ -1,5 +1,7 @@
 """A torque between its samples: straight or smooth, as the response tells."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.interpolate import make_interp_spline
@@ -7,8 +9,7 @@ from scipy.interpolate import make_interp_spline
 from identifiability.inference.between import joined
 from identifiability.inference.fitting import fit
 from identifiability.inference.problem import Prior, Problem, observe
-from identifiability.investigation.posterior.claim import Claim
-from identifiability.investigation.posterior.probabilities import Probabilities
+from identifiability.investigation.investigate import investigate
 from identifiability.investigation.session import Investigation
 from identifiability.joint.effects.cubic_stiffness import CubicStiffness
 from identifiability.joint.model import KBI
@@ -129,29 +130,34 @@ def test_steps_of_second_order_see_only_the_ends_of_a_curve():
     assert error(Scheme.for_model(model, values, 1 / RATE)) > 10 * error(suited)
 
 
-def test_an_effect_is_found_with_the_right_parameters(monkeypatch):
+def test_an_effect_is_found_with_the_right_parameters():
     """A joint with a cubic spring; and the same joint, were the torque taken to be straight."""
     truth = {**dict(zip("KBI", JOINT, strict=True)), "cubic_stiffness.coefficient": 60.0}
     model = KBI() + CubicStiffness()
     values = model.vector(truth)
     trials = [trial(3 * waves(FINE, s), model, values, s) for s in range(2)]
 
-    def weighed() -> tuple[Claim, Probabilities]:
-        study = Investigation(trials[:1], trials[1:], library={"cubic_stiffness": CubicStiffness})
-        found = study.weigh(most=1)
-        if (other := study.otherwise(found)) is not None:
-            study, found = other, other.weigh(most=1)
-        return study.claim(found), found
-
-    claim, found = weighed()
-    assert claim.sets == (("cubic_stiffness",),)
-    assert found.values == pytest.approx(
+    library = {"cubic_stiffness": CubicStiffness}
+    found = investigate(trials[:1], trials[1:], library=library, most=1, with_widths=False)
+    assert found.verdict.effects == ("cubic_stiffness",)
+    assert found.posterior.values == pytest.approx(
         truth | {"cubic_stiffness.centre": 0.0}, rel=0.01, abs=0.01
     )
+    # K, B and I alone could not tell; what they miss did.
+    assert Investigation(trials[:1], trials[1:]).torque_between == "straight"
+    assert {p.treatment.torque_between for p in found.split.fitted} == {"smooth"}
+    assert any("smooth between its samples" in remark for remark in found.remarks)
     # What straight lines lose is taken for something unknown.
-    monkeypatch.setattr(Investigation, "otherwise", lambda self, found: None)
-    for module in ("split", "posterior.band"):
-        monkeypatch.setattr(
-            f"identifiability.investigation.{module}.joined", lambda p, between: tuple(p)
-        )
-    assert weighed()[0].sets == ()
+    study = Investigation(trials[:1], trials[1:], library=library, torque_between="straight")
+    assert study.claim(study.weigh(most=1)).sets == ()
+
+
+def test_a_smooth_torque_is_told_by_colour_where_least_squares_do_not_see_it():
+    """In slow noise: the misfits differ by little, the likelihoods by much."""
+    slow = np.cumsum(np.random.default_rng(5).standard_normal(TIME.size)) * 3e-4
+    clean = trial(TRUTHS["smooth"])
+    prepared = prepare([replace(clean, angle=clean.angle + slow)])
+    assert joined(prepared)[0].treatment.torque_between == "smooth"
+    steps_too = trial(TRUTHS["steps"])
+    prepared = prepare([replace(steps_too, angle=steps_too.angle + slow)])
+    assert joined(prepared)[0].treatment.torque_between == "straight"

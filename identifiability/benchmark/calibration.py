@@ -165,20 +165,10 @@ def _joint(case: HiddenCase, found: Probabilities) -> tuple[tuple[str, float, fl
     weighed = found.sets.get(tuple(sorted(case.truth)))
     if weighed is None or case.kind == "unknown":
         return ()
-    size = float(case.parameters["size"])
-
-    def of(*names: str) -> float:
-        return size * sum(float(case.parameters[name]) for name in names)
-
-    true = {
-        "K": of("passive_stiffness", "muscle_stiffness"),
-        "B": of("passive_damping", "muscle_damping"),
-        "I": of("inertia"),
-    }
     values = weighed.candidate.values
     return tuple(
         (name, value, values[name], weighed.sds.get(name, 0.0))
-        for name, value in true.items()
+        for name, value in case.joint.items()
         if name == "I" or not case.truth
     )
 

@@ -73,6 +73,20 @@ class HiddenCase:
     weak: bool
     seed: int
 
+    @property
+    def joint(self) -> dict[str, float]:
+        """Its K, B and I in SI units, what is hidden not counted; of a measured joint."""
+        size = float(self.parameters["size"])
+
+        def of(*names: str) -> float:
+            return size * sum(float(self.parameters[name]) for name in names)
+
+        return {
+            "K": of("passive_stiffness", "muscle_stiffness"),
+            "B": of("passive_damping", "muscle_damping"),
+            "I": of("inertia"),
+        }
+
 
 @dataclass(frozen=True)
 class CaseSpec:

@@ -26,23 +26,30 @@ def add_parser(commands: Any) -> None:
         description="calibration: simulate joints with hidden effects, torque or angle imposed, in "
         "any noise, weigh what may be missing, and count whether probabilities are what they say. "
         "coverage: fit K, B and I to simulated recordings with noise of every kind, "
-        "and count how often their intervals hold the truth. solver: integrate every non-linear "
-        "effect at many sampling rates, and compare with far finer steps. responses: time them, "
+        "and count how often their intervals hold the truth. nulls: the same of the calibration's "
+        "joints that miss nothing, as an investigation fits them. solver: integrate every "
+        "non-linear effect at many sampling rates, and compare with far finer steps. "
+        "responses: time them, "
         "with their derivatives, by machine code and by JAX. speed: investigate six and sixteen "
         "trials and long records, and say how long it takes and where the time goes. "
         "An interrupted run goes on where it was when the same command is typed again.",
         **with_examples(
             "benchmark solver --out results",
             "benchmark calibration --cases 14 --seed 227 229 --out results",
+            "benchmark nulls --cases 180 --seed 227 --out results",
         ),
     )
     parser.add_argument(
         "what",
-        choices=("calibration", "coverage", "responses", "solver", "speed"),
+        choices=("calibration", "coverage", "nulls", "responses", "solver", "speed"),
         help="what is judged, or timed",
     )
     parser.add_argument(
-        "--cases", type=int, default=520, metavar="N", help="calibration: in all, about (520)"
+        "--cases",
+        type=int,
+        default=520,
+        metavar="N",
+        help="calibration, nulls: in all, about (520)",
     )
     parser.add_argument(
         "--recordings", type=int, default=500, metavar="N", help="coverage: of each kind (500)"
@@ -66,6 +73,7 @@ def run(options: argparse.Namespace) -> int:
         "solver": _run_solver,
         "coverage": _run_coverage,
         "calibration": _run_calibration,
+        "nulls": _run_nulls,
         "responses": _run_responses,
         "speed": _run_speed,
     }
@@ -144,6 +152,30 @@ def _run_coverage(options: argparse.Namespace) -> int:
         for row in rows
     ]
     _publish(out, "coverage", found, coverage_page(found), said)
+    return PARTIAL if complain(outcomes, cells) else 0
+
+
+def _run_nulls(options: argparse.Namespace) -> int:
+    crew = workers_of(options)
+    if options.cases < 2:
+        raise InputError(f"found --cases {options.cases}, expected 2 or more")
+    seed = _one_seed(options)
+    from identifiability.benchmark.nulls import measure, record
+    from identifiability.files import output_folder
+    from identifiability.report.nulls import nulls_page
+
+    out = output_folder(options.out)
+    cells = out / "nulls.cells"
+    rows, outcomes = measure(
+        options.cases, seed=seed, folder=cells, workers=crew.workers, executor=crew.executor
+    )
+    found = record(rows, n=options.cases, seed=seed)
+    said = [
+        f"{row.imposed} imposed, {row.noise}, torque {row.way}: {row.covered} of {row.n} "
+        f"intervals hold the truth, {row.far} far off"
+        for row in rows
+    ]
+    _publish(out, "nulls", found, nulls_page(found), said)
     return PARTIAL if complain(outcomes, cells) else 0
 
 
