@@ -143,13 +143,15 @@ def test_an_effect_is_found_with_the_right_parameters():
     assert found.posterior.values == pytest.approx(
         truth | {"cubic_stiffness.centre": 0.0}, rel=0.01, abs=0.01
     )
-    # K, B and I alone could not tell; what they miss did.
-    assert Investigation(trials[:1], trials[1:]).torque_between == "straight"
     assert {p.treatment.torque_between for p in found.split.fitted} == {"smooth"}
-    assert any("smooth between its samples" in remark for remark in found.remarks)
-    # What straight lines lose is taken for something unknown.
+    # What straight lines lose is taken for something unknown; then the other way is likelier.
     study = Investigation(trials[:1], trials[1:], library=library, torque_between="straight")
-    assert study.claim(study.weigh(most=1)).sets == ()
+    by_lines = study.weigh(most=1)
+    assert study.claim(by_lines).sets == ()
+    other = study.otherwise(by_lines)
+    assert other.torque_between == "smooth"
+    assert any("smooth between its samples" in remark for remark in other.remarks)
+    assert other.otherwise(found.posterior) is None
 
 
 def test_a_smooth_torque_is_told_by_colour_where_least_squares_do_not_see_it():

@@ -26,9 +26,6 @@ from identifiability.measurement.prepared import Prepared
 Between = Literal["auto", "straight", "smooth"]
 """How a torque runs between its samples; "auto": as the response tells."""
 
-DECISIVE = 5.0
-"""Nats by which a smooth torque has to be likelier: less may be what K, B and I lack."""
-
 MATTERS = 1e-3
 """Share of the misfit that the difference is, below which it cannot be told."""
 
@@ -40,8 +37,8 @@ def joined(prepared: Sequence[Prepared], between: Between = "auto") -> tuple[Pre
     """Trials with their torque straight or smooth between the samples, whichever is likelier.
 
     By K, B and I and their noise, fitted to them one way and the other: what passes for little by
-    least squares may be many standard deviations in noise of another colour. Straight, where that
-    is not clearly less likely, or where the angle was imposed.
+    least squares may be many standard deviations in noise of another colour. Straight where the
+    angle was imposed.
 
     Parameters
     ----------
@@ -70,7 +67,7 @@ def joined(prepared: Sequence[Prepared], between: Between = "auto") -> tuple[Pre
         one, other = fit_noisy(lines, chosen, by_lines), fit_noisy(curves, chosen, by_curves)
     except (InputError, ValueError, np.linalg.LinAlgError):
         return straight  # nothing to be told by K, B and I; their fit says so
-    return smooth if other.log_likelihood - one.log_likelihood > DECISIVE else straight
+    return smooth if other.log_likelihood > one.log_likelihood else straight
 
 
 def _problem(prepared: Sequence[Prepared]) -> tuple[Problem, list[list[np.ndarray]]]:

@@ -11,7 +11,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from identifiability.errors import InputError
-from identifiability.inference.between import DECISIVE, MATTERS, Between
+from identifiability.inference.between import MATTERS, Between
 from identifiability.inference.widths import Widths
 from identifiability.investigation.fits.baseline import (
     fit_baseline,
@@ -58,6 +58,7 @@ _MOVING = (
     " known from there"
 )
 
+_DECISIVE = 5.0  # nats by which what was found has to be likelier otherwise, to begin anew
 _OTHERWISE = (
     "the torque is taken to be {} between its samples: with what was found missing that is likelier"
 )
@@ -282,7 +283,7 @@ class Investigation:
                 )
                 gained.append(found.log_evidence + log_prior(len(keys), every))
         least = posterior.sets[best].log_evidence + log_prior(len(best), every)
-        if not max(gained) > least + DECISIVE:
+        if not max(gained) > least + _DECISIVE:
             return None
         other.remarks = (*other.remarks, _OTHERWISE.format(other.torque_between))
         return other
