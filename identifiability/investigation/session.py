@@ -263,11 +263,14 @@ class Investigation:
         self.progress("weighing the torque between its samples", 0, 1)
         best = posterior.best
         one = posterior.sets[best].candidate
-        problems = [
-            study._evaluator(seed).band.problem(one.model, refined=one.refined, scheme=one.scheme)
+        own, others = (
+            np.concatenate(
+                study.bench.residual(
+                    one.model, one.values, study.split.fitted, one.refined, one.scheme
+                ).by_trial
+            )
             for study in (self, other)
-        ]
-        own, others = (p.residuals(p.free_vector(one.values)) for p in problems)
+        )
         if (others - own) @ (others - own) < MATTERS**2 * (own @ own):
             return None
         # An effect may have done what the torque's form would: such as a low-pass filter.
