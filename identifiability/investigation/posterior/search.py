@@ -20,7 +20,7 @@ from identifiability.joint.effects import Effect
 from identifiability.progress import Progress, silent
 
 _SEEN = 6  # effects that are added to a set that has effects already
-_TAKEN_UP = 3  # sets of one size that are evaluated further in turn, at most
+_TAKEN_UP = 3  # sets of one size that are evaluated further, at most
 _REFINED = 3  # sets of one size that are refined, at most
 _WORTH_REFINING = 3.0  # nats before K, B and I alone
 # Nats, or the share of what the best of its size gained, from which a set behind it is not refined:
@@ -135,7 +135,10 @@ class _Search:
         seen = strongest(self.weighing.evaluator, current, more, alone, most)
         jobs = [enlarged(current, more[key](), alone.get(key, {})) for key in seen]
         self.add(f"what may be added to {' + '.join(['K, B, I', *keys])}", jobs)
-        self._take_up(len(keys) + 1)
+        # Not the best alone: what another gains when it is integrated finer may be what decides.
+        ranked = self._ranked(len(keys) + 1)[:_TAKEN_UP]
+        near = [keys for keys in ranked if not self.weighing.is_far(keys, ranked[0])]
+        self.weighing.take_up(near)
         self._refine(len(keys) + 1)
 
     def leave_out(self) -> None:
@@ -209,14 +212,6 @@ class _Search:
             new = best is not None and best != before and best not in self.enlarged
             if best is not None and new and size < most and self.improves(best):
                 self.enlarge(best)
-
-    def _take_up(self, size: int) -> None:
-        """Evaluate the best set of a size further, and those that are the best then."""
-        for _ in range(_TAKEN_UP):
-            best = self.best(size)
-            if best is None or self.weighing.is_taken_up(best):
-                break
-            self.weighing.take_up([best])
 
     def _refine(self, size: int) -> None:
         """Free the refining parameters of the best sets of a size."""

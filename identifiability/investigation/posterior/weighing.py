@@ -242,7 +242,7 @@ class Weighing:
         What comes near is looked for again once all have what the likeliest has.
         """
         for _ in range(_MOST_ROUNDS):
-            while left := [k for k in self._within(_CONTENDS) if not self.is_taken_up(k)]:
+            while left := [k for k in self._within(_CONTENDS) if not self._is_taken_up(k)]:
                 self.take_up(left)
             if not self._share():
                 break
@@ -253,8 +253,7 @@ class Weighing:
         least = self.score(ranked[0]) - nats
         return [keys for keys in ranked[:_MOST_BESIDE] if self.score(keys) > least]
 
-    def is_taken_up(self, keys: Keys) -> bool:
-        """Whether a set was evaluated further, from where its fit ended."""
+    def _is_taken_up(self, keys: Keys) -> bool:
         return self.taken_up.get(keys) is self.found[keys]
 
     def _share(self) -> bool:
@@ -289,7 +288,7 @@ class Weighing:
             if isinstance(found, str):
                 continue  # it stays as it was
             better |= found.log_evidence > self.found[keys].log_evidence + _SAME
-            if self.is_taken_up(keys):
+            if self._is_taken_up(keys):
                 self.taken_up[keys] = found
             self.found[keys] = found
         return better
