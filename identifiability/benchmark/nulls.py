@@ -14,12 +14,7 @@ from threadpoolctl import threadpool_limits
 from identifiability.benchmark.blind import BlindSpec, blind_cases
 from identifiability.benchmark.score import wilson
 from identifiability.inference.curvature import NORMAL_95
-from identifiability.investigation.fits.baseline import fit_baseline
-from identifiability.investigation.fits.bench import Workbench
-from identifiability.investigation.posterior.band import band_of
-from identifiability.investigation.posterior.reference import evaluator_of
-from identifiability.investigation.split import gather
-from identifiability.joint.model import KBI
+from identifiability.investigation.session import Investigation, evaluations_of
 from identifiability.provenance import stamp
 from identifiability.sweep.outcome import Arrays, Outcome
 from identifiability.sweep.run import sweep
@@ -72,13 +67,10 @@ def errors(spec: BlindSpec) -> Arrays:
         if way != "auto" and spec.imposed == "angle":
             found[:, i] = found[:, 0]
             continue
-        bench = Workbench(gather(case.fit, case.held_out, torque_between=way))
-        start = fit_baseline(bench, KBI()).values
-        how = bench.split.fitted[0].treatment.torque_between
+        study = Investigation(case.fit, case.held_out, torque_between=way)
         with threadpool_limits(1):
-            band = band_of(case.fit, case.held_out, torque_between=how)
-            evaluator = evaluator_of(band, start, seed=spec.seed)
-            best = evaluator.evaluate(KBI(), [start])
+            weighed = evaluations_of(study, spec.seed)
+            best = weighed.evaluate(study.model, [study.baseline.values])
         found[0, i] = [best.values[name] for name in case.joint] - true
         found[1, i] = [best.sds[name] for name in case.joint]
     return {"error": found[0], "sd": found[1], "truth": true}

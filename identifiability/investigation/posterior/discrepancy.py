@@ -19,7 +19,6 @@ unknown.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -35,10 +34,9 @@ from identifiability.investigation.posterior.columns import (
     net,
     without,
 )
-from identifiability.investigation.posterior.evidence import Evaluated, Evaluator
+from identifiability.investigation.posterior.evidence import Evaluated, Evaluator, best_of
 from identifiability.investigation.posterior.growing import growing_noise, liveliness
 from identifiability.investigation.posterior.noises import Weighed, Weights
-from identifiability.joint.programs import THREADS
 
 _CHANGES = 0.5  # of its value, by which a parameter may differ
 _LARGEST, _SMALLEST, _FIRST = 3.0, 1e-6, 0.1  # sizes, over the response's
@@ -125,9 +123,7 @@ class Discrepancy:
             starts.append((first, self.noise))
         if nested is not None and nested._reached is not None:
             starts.append((np.minimum(nested._reached[0], caps), nested._reached[1]))
-        with ThreadPoolExecutor(THREADS) as pool:
-            ends = pool.map(lambda start: beside.of(found, *start), starts)
-            return max(ends, key=lambda one: one.log_evidence)
+        return best_of(lambda start: beside.of(found, *start), starts)
 
     def inexact(
         self, found: Evaluated, most: float, nested: Discrepant | None = None

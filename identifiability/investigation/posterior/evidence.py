@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
 import numpy as np
 
@@ -33,7 +33,14 @@ from identifiability.joint.model import Model
 from identifiability.joint.programs import THREADS
 from identifiability.joint.scheme import Scheme
 
+
+class _Weighed(Protocol):
+    @property
+    def log_evidence(self) -> float: ...
+
+
 _Start = TypeVar("_Start")
+_End = TypeVar("_End", bound=_Weighed)
 
 NOISE_SHARE = 0.02
 """Share of the response's energy that is noise, the mean of an exponential prior: more than a few
@@ -220,7 +227,7 @@ class Evaluator:
             return self.settled(problem, *begun, refined, least, also)
 
         begun = self._begun(problem, starts, refined, noise, resolved)
-        best = _best_of(settled, list(begun))
+        best = best_of(settled, list(begun))
         if nested is not None and best.log_likelihood < nested.log_likelihood - _MISSED:
             point = problem.free_vector(nested_values(model, nested.values))
             start = inside(problem, point[None])
@@ -282,7 +289,7 @@ class Evaluator:
                 problem, points, weights, refined, rounds=1, most=1, further=EVALUATIONS
             )
 
-        return _best_of(settled, (noise, self.white))
+        return best_of(settled, (noise, self.white))
 
     @staticmethod
     def _finer(problem: Problem, found: Evaluated) -> Scheme | None:
@@ -474,7 +481,7 @@ class Evaluator:
         return parameter.null is None and not parameter.ends_form
 
 
-def _best_of(evaluated: Callable[[_Start], Evaluated], starts: Sequence[_Start]) -> Evaluated:
+def best_of(evaluated: Callable[[_Start], _End], starts: Sequence[_Start]) -> _End:
     """The most probable of several ends of one fit, sought side by side."""
     with ThreadPoolExecutor(THREADS) as pool:
         return max(pool.map(evaluated, starts), key=lambda one: one.log_evidence)
