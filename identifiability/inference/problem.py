@@ -23,6 +23,7 @@ from identifiability.measurement.noise import Noise
 from identifiability.measurement.perturbations import Drive
 
 _DIFFERENCE, _SHARE = 1e-2, 1e-2  # step of differences: in slice widths, at most of the value
+_LONG = 20_000  # steps
 _SMALL = 1e-3  # share of its range that is a usual value of a parameter whose nominal one is 0
 # Places of differences of fourth order, in steps, and their shares times 12.
 _CENTRAL = (-2, -1, 1, 2), (1, -8, 8, -1)
@@ -296,6 +297,15 @@ class Problem:
     def with_prior(self, prior: Prior) -> Problem:
         """Return the same problem with another prior."""
         return replace(self, prior=prior)
+
+    @property
+    def takes_long(self) -> bool:
+        """Whether one response to all drives takes so many steps that a sampler has to do with few.
+
+        Steps of integration, or samples where the response is exact.
+        """
+        samples = sum(len(o.drive.states) for o in self.observations)
+        return samples * max(1, self.integration.substeps) > _LONG
 
     def with_scheme(self, scheme: Scheme) -> Problem:
         """Return the same problem with its response computed in another way."""

@@ -265,8 +265,9 @@ def sample(
             f"the Laplace t reaches an importance efficiency of only {efficiency:.2f}, "
             f"below {limit:.2f}"
         )
-    if quick and efficiency < _HOPELESS:
+    if quick and (efficiency < _HOPELESS or problem.takes_long):
         # A short run that shows by its own diagnostics that it cannot be used.
+        why += ["one response takes long"] if problem.takes_long else []
         reason = "; ".join([*why, "no pilot run was made at this effort"])
         few = _Budget(walkers, max(2, round(0.1 * _STEPS * effort)))
         return _independent(problem, proposal, start, "laplace-t", reason, seed, seeds[1], few)

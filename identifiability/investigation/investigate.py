@@ -155,22 +155,28 @@ def _investigated(
             found = study.climb(posterior) if posterior else Found.nothing(first)
             if found.failure:
                 failures["error ladder"] = found.failure
-        final = found.final
-        widths = None
+        final, sought = found.final, None
         if with_widths:
             progress("widths of the parameters", 0, 1)
-            widths = aside.submit(attempt, "widths", lambda: study.widths(final, seed=seed))
+            sought = aside.submit(attempt, "widths", lambda: study.widths(final, seed=seed))
         progress("what is left", 0, 1)
         with timed("what is left"):
             before = unexplained_before.result()
             after = before if final is first else None
-            if after is None:
-                after = study.unexplained(final, seed=seed)
+            after = study.unexplained(final, seed=seed) if after is None else after
+        with timed("rest of the widths"):
+            widths = None if sought is None else sought.result()
+        lower = None if widths is None else study.lower(final, widths)
+        if posterior is not None and lower is not None:
+            progress("what is left, from a lower optimum", 0, 1)
+            with timed("what is left, from a lower optimum"):
+                found = study.climb(posterior, also=lower)
+                after = study.unexplained(found.final, seed=seed)
         seen = None
         if claimed == "nothing":
             with timed("smallest effects seen"):
                 seen = attempt(
-                    "smallest effects seen", lambda: study.smallest_seen(final, seed=seed)
+                    "smallest effects seen", lambda: study.smallest_seen(found.final, seed=seed)
                 )
         verdict = UNDECIDED
         if posterior is not None:
@@ -181,8 +187,6 @@ def _investigated(
                 "next experiment",
                 lambda: study.next_experiment(found, verdict, limits=limits, seed=seed),
             )
-        with timed("rest of the widths"):
-            found_widths = None if widths is None else widths.result()
     return Findings(
         study.split,
         found,
@@ -190,7 +194,7 @@ def _investigated(
         location,
         before,
         after,
-        found_widths,
+        widths,
         verdict,
         following,
         study.library,

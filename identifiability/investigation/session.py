@@ -58,6 +58,7 @@ _MOVING = (
     " known from there"
 )
 
+_LESS = 0.01  # of what a model leaves, by which another optimum of it has to be better
 _DECISIVE = 5.0  # nats by which what was found has to be likelier otherwise, to begin anew
 _OTHERWISE = (
     "the torque is taken to be {} between its samples: with what was found missing that is likelier"
@@ -343,12 +344,42 @@ class Investigation:
         """What the probabilities allow to name."""
         return claim_of(posterior, self.library, self.bench.rules.claimed)
 
-    def climb(self, posterior: Probabilities) -> Found:
-        """Fit the model that is claimed, or comes nearest, effect by effect: the error ladder."""
+    def climb(self, posterior: Probabilities, *, also: Mapping[str, float] | None = None) -> Found:
+        """Fit the model that is claimed, or comes nearest, effect by effect: the error ladder.
+
+        Parameters
+        ----------
+        posterior : Probabilities
+        also : mapping of str to float, optional
+            Values that the fit of the final model starts from as well: see `lower`.
+        """
         claim = self.claim(posterior)
         return found_of(
-            self.bench, self.baseline, posterior, claim, self.library, progress=self.progress
+            self.bench,
+            self.baseline,
+            posterior,
+            claim,
+            self.library,
+            also=also,
+            progress=self.progress,
         )
+
+    def lower(self, candidate: Candidate, widths: Widths) -> dict[str, float] | None:
+        """Values of a fitted model by which it leaves less, if its widths met any.
+
+        Parameters
+        ----------
+        candidate : Candidate
+        widths : Widths
+            Of its parameters: their profiles may lead to another optimum than the fit did.
+        """
+        values = {**candidate.values, **{row.name: row.optimum for row in widths.rows}}
+        fitted = self.split.fitted
+        left = self.bench.residual(
+            candidate.model, values, fitted, candidate.refined, candidate.scheme
+        )
+        less = left.weighted < (1 - _LESS) * candidate.fitted.weighted
+        return values if less else None
 
     def judge(
         self,

@@ -29,6 +29,7 @@ def found_of(
     claim: Claim,
     library: Mapping[str, type[Effect]],
     *,
+    also: Mapping[str, float] | None = None,
     progress: Progress = silent,
 ) -> Found:
     """Fit the model that a claim speaks of, rung by rung, and gather what else was tried.
@@ -42,10 +43,12 @@ def found_of(
     claim : Claim
     library : mapping of str to type of Effect
         Effects that were tried.
+    also : mapping of str to float, optional
+        Values that the fit of the final model starts from as well.
     progress : callable
         Told ``(what, done, total)``.
     """
-    climb = _Climb(bench, baseline, posterior, claim, library, progress)
+    climb = _Climb(bench, baseline, posterior, claim, library, also, progress)
     final, missing = climb.final_and_missing()
     alone, n = climb.alone(), len(posterior.sets)
     if final.failure:
@@ -60,6 +63,7 @@ class _Climb:
     posterior: Probabilities
     claim: Claim
     library: Mapping[str, type[Effect]]
+    also: Mapping[str, float] | None
     progress: Progress
 
     def alone(self) -> tuple[Tried, ...]:
@@ -96,13 +100,14 @@ class _Climb:
         return final, missing
 
     def _explains_nothing(self, last: Missing) -> bool:
-        """Whether a clue's last effect has nothing to show for itself.
+        """Whether a clue at the end of the ladder has nothing to show for itself.
 
         Beside something unknown many effects make a model a little more probable. Which one does
         most of all is chance; one that no error falls by is not worth a look.
         """
         small = last.share is not None and last.share < self.bench.rules.trace_share
-        return small and self.claim.kind == "unknown"
+        beside = self.claim.kind == "effects" and not any(last.key in s for s in self.claim.sets)
+        return small and (self.claim.kind == "unknown" or beside)
 
     def _ladder(self, keys: Keys) -> tuple[Candidate, tuple[Missing, ...]]:
         """A model with some effects, and these in the order of the ladder."""
@@ -112,7 +117,7 @@ class _Climb:
         rungs = [tuple(sorted(order[: i + 1])) for i in range(len(order))]
         rests = [tuple(k for k in keys if k != key) for key in order]
         wanted = list(dict.fromkeys([*rungs[:-1], *(r for r in rests if r)]))
-        final = self.bench.finish(self._weighed(keys))
+        final = self._final(self._weighed(keys))
         if final.failure:
             return final, ()
         fits: dict[Keys, Candidate] = {(): self.baseline}
@@ -139,6 +144,13 @@ class _Climb:
             )
             before = removed
         return fits[keys], tuple(out)
+
+    def _final(self, weighed: Candidate) -> Candidate:
+        """A set fitted from where it was weighed, and from where it is known to leave less."""
+        if self.also is None or set(self.also) != set(weighed.model.parameter_names):
+            return self.bench.finish(weighed)
+        starts = [weighed.values, self.also]
+        return self.bench.fit(weighed.model, starts, refined=weighed.refined)
 
     def _weighed(self, keys: Keys) -> Candidate:
         """A set as it was weighed; or, of the likeliest that has all of it, what is left of it.

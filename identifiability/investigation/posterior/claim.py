@@ -11,6 +11,7 @@ from identifiability.investigation.posterior.probabilities import Probabilities
 from identifiability.joint.effects import Effect
 
 _MOST_OF_ONE = 3  # effects of which one is there
+_LIKELY = 0.5  # probability above which an effect that is not claimed is shown as a clue
 
 
 @dataclass(frozen=True)
@@ -24,9 +25,10 @@ class Claim:
         is no known effect, or that cannot be excluded; effects are there, but no one of them is
         sure enough.
     effects : tuple of str
-        Of the model that the claim is shown by: those that are claimed; of effects that are not
-        sure enough, or that something unknown is beside, the most probable, as a clue. What is
-        unknown often keeps one of them from being sure, and without it there is little to see.
+        Of the model that the claim is shown by: those that are claimed and, as a clue, what is
+        more likely there beside them than not; of effects that are not sure enough, or that
+        something unknown is beside, the most probable, as a clue. What is unknown often keeps one
+        of them from being sure, and without it there is little to see.
     present : tuple of str
         Beside something unknown, the effects that are there whatever else is.
     sets : tuple of tuple of str
@@ -80,7 +82,8 @@ def claim_of(posterior: Probabilities, library: Mapping[str, type[Effect]], shar
     if not slots:
         return Claim("undecided", sets[0], (), posterior.of(sets[0]))
     named = tuple(_with_equals(names, library) for names in slots.values())
-    return Claim("effects", tuple(slots), named, posterior.claim(named))
+    likely = [e for e in sets[0] if e not in slots and posterior.present(e) > _LIKELY]
+    return Claim("effects", (*slots, *likely), named, posterior.claim(named))
 
 
 def _beside(posterior: Probabilities, share: float) -> tuple[str, ...]:

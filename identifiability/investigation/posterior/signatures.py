@@ -1,9 +1,9 @@
 """Effects whose signature is in what a model leaves, as its noise weighs it.
 
-The signature is the change of K, B and I's response by a small effect, at the shapes that a fit
-would start from and at the one it had alone. Of it only the part counts that the model's own
-parameters cannot absorb. It is sought in the model's own noise and in white noise: noise of long
-memory may have taken the place of what is missing.
+The signature is the change of the model's response by a small effect more, at the shapes that a fit
+would start from and at the one it had beside K, B and I. Of it only the part counts that the
+model's own parameters cannot absorb. It is sought in the model's own noise and in white noise:
+noise of long memory may have taken the place of what is missing.
 """
 
 from __future__ import annotations
@@ -12,11 +12,13 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from identifiability.inference.problem import Problem
 from identifiability.inference.starts import starting_values
 from identifiability.investigation.posterior.evidence import Evaluated, Evaluator
 from identifiability.investigation.posterior.noises import Weights
 from identifiability.joint.effects import Effect
-from identifiability.joint.model import KBI, Model
+from identifiability.joint.model import Model
+from identifiability.joint.scheme import Scheme
 
 _NEGLIGIBLE = 1e-8  # of directions that repeat each other
 
@@ -47,15 +49,20 @@ def strongest(
     """
     if len(effects) <= most:
         return list(effects)
-    joint = {name: found.values[name] for name in ("K", "B", "I")}
-    plain = _residual(evaluator, KBI(), joint)
+    plain: dict[Scheme, np.ndarray] = {}
     changes = {}
     for key, effect in effects.items():
-        model = KBI() + effect()
-        shapes = starting_values(model, joint)
+        model = found.model + effect()
+        shapes = starting_values(model, found.values)
         if key in alone:
-            shapes.append({**alone[key], **joint})
-        changes[key] = [_residual(evaluator, model, shape) - plain for shape in shapes]
+            shapes.append({**alone[key], **found.values})
+        problem = _problem(evaluator, model, found)
+        # In the same steps: what their length changes is no signature.
+        if problem.integration not in plain:
+            same = _problem(evaluator, found.model, found).with_scheme(problem.integration)
+            plain[problem.integration] = _residual(same, found.values)
+        before = plain[problem.integration]
+        changes[key] = [_residual(problem, shape) - before for shape in shapes]
     kept: set[str] = set()
     noises = [(evaluator.white, most)]
     if not plainly:
@@ -67,9 +74,16 @@ def strongest(
     return [key for key in effects if key in kept]
 
 
-def _residual(evaluator: Evaluator, model: Model, values: Mapping[str, float]) -> np.ndarray:
+def _problem(evaluator: Evaluator, model: Model, found: Evaluated) -> Problem:
+    """A model in steps at least as short as another's, with as much of it in richer form."""
+    probes = evaluator.reference.probes
+    problem = evaluator.band.problem(model, refined=found.refined, probes=probes)
+    finer = found.scheme.is_finer_than(problem.integration)
+    return problem.with_scheme(found.scheme) if finer else problem
+
+
+def _residual(problem: Problem, values: Mapping[str, float]) -> np.ndarray:
     """By observation and sample, those of the probes included."""
-    problem = evaluator.band.problem(model, probes=evaluator.reference.probes)
     return problem.by_observation(problem.residuals(problem.free_vector(values))[:, None])
 
 

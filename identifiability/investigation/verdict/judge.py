@@ -111,27 +111,29 @@ def judge(
     explains = found.share is None or found.share >= split.rules.explained_share
     named = claim.kind == "effects" and explains
     reasons = [_probabilities(claim, posterior)]
+    sure = tuple(key for key in claim.effects if any(key in names for names in claim.sets))
     if claim.kind == "effects" and found.failure:
         # An effect is named for the error that falls with it, which is not known here.
-        reasons.append(Reason("no error", claim.effects, {}, found.failure))
+        reasons.append(Reason("no error", sure, {}, found.failure))
         return Verdict("undecided", (), tuple(reasons))
     if claim.kind == "effects" and not explains:
-        reasons.append(Reason("only a part", claim.effects))
+        reasons.append(Reason("only a part", sure))
     shown = {m.key: posterior.present(m.key) for m in found.missing}
     there = {effect: shown[effect] for effect in claim.present if effect in shown}
     if there:
         reasons.append(Reason("whatever else", tuple(there), there))
-    if not named:
-        clues = {effect: sure for effect, sure in shown.items() if effect not in there}
-        reasons += [Reason("clue", tuple(clues), clues)] if clues else []
+    no_clue = sure if named else there
+    clues = {effect: p for effect, p in shown.items() if effect not in no_clue}
+    reasons += [Reason("clue", tuple(clues), clues)] if clues else []
     if claim.kind == "unknown" and posterior.description is not None:
         reasons.append(Reason("nearest form", (posterior.description,)))
     reasons.append(_errors(split, found))
     if nested is not None and claim.kind == "effects":
         reasons.append(_without_held_out(claim, nested, split))
     reasons += _in_turn(found)
-    for missing in found.missing if named else ():
-        reasons += _about(missing, found, split, library)
+    for missing in found.missing:
+        if named and missing.key in sure:
+            reasons += _about(missing, found, split, library)
     if named and (left := posterior.discrepancy) is not None and left.kind != "none":
         # No more than is left: the rest parameters and the noise's colour take back.
         share = min(left.size, posterior.noise / posterior.response)

@@ -38,6 +38,8 @@ def consequence_sentence(findings: Findings) -> str:
         falls = falls.replace("goes", "falls") + f", {_times(errors[0] / errors[1])}"
     clue = findings.verdict.kind.startswith("unknown") or findings.verdict.kind == "unrepeatable"
     with_it = "With what is named as a clue" if clue else "With it"
+    if not clue and any(reason.kind == "clue" for reason in findings.verdict.reasons):
+        with_it = "With all of that"
     rivals = [one for one in models if one.role == "instead"]
     if rivals:
         with_it = "Depending on which it is"

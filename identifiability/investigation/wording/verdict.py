@@ -45,6 +45,15 @@ def listed(words: Sequence[str]) -> str:
 
 def verdict_sentence(findings: Findings) -> str:
     """The verdict in one or two sentences."""
+    clue = next((r for r in findings.verdict.reasons if r.kind == "clue"), None)
+    if clue is None or not findings.verdict.sets:
+        return _verdict(findings)
+    also = [f"{findings.library[key].title} ({percent(p)})" for key, p in clue.numbers.items()]
+    return f"{_verdict(findings)} More likely than not it misses {listed(also)} as well."
+
+
+def _verdict(findings: Findings) -> str:
+    """What is claimed, or why nothing is."""
     verdict, found, library = findings.verdict, findings.found, findings.library
     reasons = {r.kind: r for r in verdict.reasons}
     rest = unexplained_sentence(findings.unexplained_after)
