@@ -47,7 +47,7 @@ KBI_VALUES = {"K": 50.0, "B": 2.0, "I": 0.1}
 # Values away from the plain form, and from where a response bends as a function of a parameter:
 # an asymmetry or a threshold of 0, a delay of whole samples.
 GENERIC = {
-    "coulomb_friction": {"breakaway": 0.3},
+    "coulomb_friction": {"breakaway": 0.3, "asymmetry": 0.2},
     "cubic_stiffness": {"centre": -0.05},
     "hill_force_velocity": {"asymmetry": 0.3},
     "loose_coupling": {"gap": 0.02, "own_stiffness": 200.0, "own_damping": 8.0},

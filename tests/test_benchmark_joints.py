@@ -53,6 +53,10 @@ from identifiability.benchmark.unknowns import (
 )
 from identifiability.benchmark.visibility import kbi_responses, missed_by_kbi, missed_without
 from identifiability.errors import InputError
+from identifiability.investigation.session import Investigation
+from identifiability.joint.effects import EFFECTS as LIBRARY
+from identifiability.joint.model import KBI
+from identifiability.measurement.trials import Trial
 
 ANATOMY = Anatomy(0.1, 5.0, 0.25, 25.0, 0.75)
 TENDINOUS = Anatomy(0.1, 5.0, 0.25, 25.0, 3.0)
@@ -324,6 +328,40 @@ def test_friction_holds_what_is_below_it_and_stops_for_good():
     assert abs(ANATOMY.stiffness * angle[-1] + 6.0) <= 1.0
 
 
+def test_uneven_friction_holds_and_brakes_more_one_way():
+    friction = CoulombFriction(0.8, 0.8, 0.2, "uneven", 0.25)
+    joint = Joint(ANATOMY, (friction,))
+    for torque, held in ((0.99, True), (1.01, False), (-0.59, True), (-0.61, False)):
+        moved = np.ptp(joint.respond(step(torque).torque, INTERVAL))
+        assert (moved == 0.0) == held, torque
+    assert (friction.torque(1.0, 1), friction.torque(-1.0, -1)) == pytest.approx((1.0, -0.6))
+    other = CoulombFriction(0.8, 0.8, 0.2, "uneven", -0.25)
+    assert (other.torque(1.0, 1), other.torque(-1.0, -1)) == pytest.approx((0.6, -1.0))
+
+
+def test_uneven_friction_shows_under_a_torque_and_hardly_under_an_angle():
+    """While it moves the joint feels a constant more, which is the level of a recorded torque."""
+    joint = Joint(ANATOMY, (CoulombFriction(0.8, 0.8, 0.2, "uneven", 0.25),))
+    time = INTERVAL * np.arange(1000)
+    moved = [
+        (torque, joint.respond(torque, INTERVAL))
+        for hertz in (1.5, 2.5, 3.5, 1.0)
+        for torque in [8.0 * np.sin(2 * np.pi * hertz * time) * (time > 0.1)]
+    ]
+    model = KBI() + LIBRARY["coulomb_friction"]()
+    left = {}
+    for driven in ("torque", "angle"):
+        study = Investigation([Trial(time, *pair, driven=driven) for pair in moved])
+        even, uneven = (study.fit(model, refined=refined) for refined in (False, True))
+        left[driven] = uneven.fitted.error / even.fitted.error
+        assert uneven.values["coulomb_friction.torque"] == pytest.approx(0.8, rel=0.05)
+        if driven == "torque":
+            found = uneven.values["coulomb_friction.asymmetry"]
+            assert found == pytest.approx(0.25, abs=0.01)
+    assert left["torque"] < 0.001
+    assert left["angle"] > 0.8
+
+
 def motion(time):
     """A movement from rest, with stops, reversals and two time scales: angle and velocity."""
     w, v = 9.0, 41.0
@@ -388,7 +426,8 @@ def test_muscles_and_friction_always_brake():
             assert torque * way > 0
             nearby = (hill.torque(way + 1e-6)[0] - hill.torque(way - 1e-6)[0]) / 2e-6
             assert slope == pytest.approx(nearby, rel=1e-5, abs=1e-9)
-        assert 0.5 <= friction.magnitude(velocity) <= 0.7
+        assert 0.5 <= friction.torque(velocity, 1) <= 0.7
+        assert friction.torque(velocity, -1) == -friction.torque(velocity, 1)
     # The lengthening muscle holds its plateau, the shortening one nothing.
     assert hill.torque(1e6)[0] == pytest.approx(1.2 * 0.4 + 0.9, rel=1e-4)
 

@@ -88,9 +88,13 @@ EQUATIONS = {
         lambda q, v, z: [approach(30 * max(x, 0.0) - a) for x, a in zip((q, -q), z, strict=True)],
     ),
     "coulomb_friction": (
-        {"torque": 1.0, "velocity": 0.05, "breakaway": 0.5},
+        {"torque": 1.0, "velocity": 0.05, "breakaway": 0.5, "asymmetry": 0.2},
         0,
-        lambda q, v, z: np.tanh(v / 0.05) * (1 + 0.5 * np.exp(-((v / 0.1) ** 2))),
+        lambda q, v, z: (
+            np.tanh(v / 0.05)
+            * (1 + 0.2 * np.tanh(v / 0.05))
+            * (1 + 0.5 * np.exp(-((v / 0.1) ** 2)))
+        ),
         lambda q, v, z: [],
     ),
     "cubic_stiffness": (
@@ -208,17 +212,19 @@ def test_a_linear_tendon_has_the_form_of_a_maxwell_branch():
 
 def test_friction_while_sliding_is_constant():
     for speed in (-3.0, -1.0, 1.0, 3.0):
-        found = response("coulomb_friction", ramp(speed), torque=0.7, breakaway=0.5)
-        agree(found - K * speed * TIME - B * speed, np.full(TIME.size, np.sign(speed) * 0.7), 1e-9)
+        own = {"torque": 0.7, "breakaway": 0.5, "asymmetry": 0.2}
+        found = response("coulomb_friction", ramp(speed), **own)
+        expected = np.full(TIME.size, 0.7 * np.sign(speed) * (1 + 0.2 * np.sign(speed)))
+        agree(found - K * speed * TIME - B * speed, expected, 1e-9)
     # Where it breaks away it is larger: at 0.1 rad/s by breakaway/e.
-    own = {"torque": 0.7, "velocity": 0.002, "breakaway": 0.5}
+    own = {"torque": 0.7, "velocity": 0.002, "breakaway": 0.5, "asymmetry": 0.0}
     found = response("coulomb_friction", ramp(0.1), K=0.0, B=0.0, **own)
     agree(found, np.full(TIME.size, 0.7 * (1 + 0.5 / np.e)), 1e-9)
 
 
 def test_friction_dissipates_the_work_of_a_constant_torque():
     drive = imposed_motion(TIME, THERE_AND_BACK(TIME))
-    own = {"torque": 0.7, "velocity": 0.002, "breakaway": 0.0}
+    own = {"torque": 0.7, "velocity": 0.002, "breakaway": 0.0, "asymmetry": 0.0}
     torque = response("coulomb_friction", drive, K=0.0, B=0.0, I=1e-12, **own)
     power = torque * THERE_AND_BACK.deriv()(TIME)
     assert np.all(power >= -1e-9)

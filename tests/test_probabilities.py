@@ -990,6 +990,21 @@ def test_what_is_there_whatever_else_is_stands_beside_something_unknown():
     assert (unsure.present, unsure.effects) == ((), found.unknown)
 
 
+def test_what_is_likely_beside_what_is_claimed_is_a_clue():
+    """What is more likely there than not is in the model that is shown, and claimed nowhere."""
+    likely, unlikely = (
+        probabilities((("gravity", "coulomb_friction"), p), (("gravity",), 1 - p))
+        for p in (0.8, 0.45)
+    )
+    claim = claim_of(likely, EFFECTS, 0.95)
+    assert claim.sets == (("gravity",),)
+    assert claim.effects == ("gravity", "coulomb_friction")
+    assert claim_of(unlikely, EFFECTS, 0.95).effects == ("gravity",)
+    # Of what may be one of two, neither is likely.
+    rows = [(("gravity", key), 0.5) for key in ("coulomb_friction", "second_mass")]
+    assert claim_of(probabilities(*rows), EFFECTS, 0.95).effects[0] == "gravity"
+
+
 def test_effects_that_are_claimed_each_need_one_of_their_own():
     found = probabilities((("gravity", "second_mass"), 0.5), (("gravity",), 0.5))
     assert found.claim([["gravity"]]) == pytest.approx(1.0)

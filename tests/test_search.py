@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from constructed import probabilities
 from hidden import JOINT, PAIR, study_of_a_pair
@@ -14,9 +15,14 @@ from identifiability.investigation.posterior import evidence
 from identifiability.investigation.posterior.claim import Claim
 from identifiability.investigation.posterior.evidence import Evaluator
 from identifiability.investigation.posterior.search import _Search
+from identifiability.investigation.posterior.signatures import strongest
 from identifiability.investigation.posterior.weighing import Job, Weighing
+from identifiability.investigation.session import Investigation
 from identifiability.joint.effects import EFFECTS
 from identifiability.joint.model import KBI
+from identifiability.joint.response import simulate
+from identifiability.measurement.perturbations import SampledTorque
+from identifiability.measurement.trials import Trial
 from identifiability.progress import silent
 
 KEYS = ("cubic_stiffness", "sensor_delay", "second_mass")
@@ -76,6 +82,37 @@ def test_each_effect_of_the_most_probable_set_is_left_out(driven):
     assert len(pairs) == 3
     assert max(weighing.found, key=weighing.score) == truth
     assert truth in search.enlarged
+
+
+PENDULUM = {"K": 0.02, "B": 0.02, "I": 0.15, "gravity.moment": 3.0, "gravity.posture": 0.0}
+RUBS = {
+    "coulomb_friction.torque": 0.15,
+    "coulomb_friction.velocity": 0.05,
+    "coulomb_friction.breakaway": 0.0,
+    "coulomb_friction.asymmetry": 0.0,
+}
+
+
+@pytest.mark.parametrize("driven", ["torque", "angle"])
+def test_signatures_are_sought_beside_the_model_at_hand(driven):
+    """What holds a pendulum is its weight: beside K, B and I alone a small effect is no joint's."""
+    time = np.arange(600) / 200
+    model = KBI() + EFFECTS["gravity"]()
+    rubbing = model + EFFECTS["coulomb_friction"]()
+    records = []
+    for seed, hertz in enumerate((0.55, 0.7, 0.9)):
+        drive = SampledTorque(0.9 * np.sin(2 * np.pi * hertz * time) * (time > 0.2)).drive(time)
+        torque = drive.signals[:, 0]
+        angle = simulate(rubbing, rubbing.vector(PENDULUM | RUBS), drive)
+        noise = 2e-4 * np.random.default_rng(seed).standard_normal(time.size)
+        pair = (torque, angle + noise) if driven == "torque" else (torque + 10 * noise, angle)
+        records.append(Trial(time, *pair, driven=driven, name=f"t{seed}"))
+    study = Investigation(records)
+    evaluator = study._evaluator(1)
+    found = evaluator.by_least_squares(evaluator.begun(model, [PENDULUM]))
+    assert found.values["gravity.moment"] == pytest.approx(3.0, rel=0.2)
+    others = {key: effect for key, effect in EFFECTS.items() if key != "gravity"}
+    assert "coulomb_friction" in strongest(evaluator, found, others, {}, 3)
 
 
 def test_a_path_beside_a_linear_tendon_shows_where_the_muscle_has_an_effect():

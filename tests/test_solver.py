@@ -35,6 +35,7 @@ TRUTH = FRICTIONAL.vector(
         "coulomb_friction.torque": FRICTION,
         "coulomb_friction.velocity": SMOOTH,
         "coulomb_friction.breakaway": 0.0,
+        "coulomb_friction.asymmetry": 0.0,
     }
 )
 START = {
@@ -44,6 +45,7 @@ START = {
     "coulomb_friction.torque": 0.2,
     "coulomb_friction.velocity": 0.03,
     "coulomb_friction.breakaway": 0.0,
+    "coulomb_friction.asymmetry": 0.0,
 }
 
 

@@ -78,6 +78,18 @@ def reason(found, kind):
     return next((r for r in found.verdict.reasons if r.kind == kind), None)
 
 
+def test_a_clue_beside_what_is_claimed_is_said_to_be_one(split):
+    found = findings(split, [(("gravity", "coulomb_friction"), 0.8), (("gravity",), 0.2)])
+    assert found.verdict.sets == (("gravity",),)
+    assert found.verdict.kind == "explained"
+    assert reason(found, "clue").numbers == {"coulomb_friction": pytest.approx(0.8)}
+    said = verdict_sentence(found)
+    assert "misses gravity" in said
+    assert "More likely than not it misses dry (Coulomb) friction (80 %) as well." in said
+    # What is sure has no clue beside it.
+    assert reason(findings(split, sure("gravity")), "clue") is None
+
+
 def test_nothing_is_missing_where_that_is_probable(split):
     found = findings(split, NOTHING)
     assert found.verdict.kind == "nothing_missing"

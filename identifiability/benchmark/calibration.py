@@ -162,7 +162,8 @@ def _joint(case: HiddenCase, found: Probabilities) -> tuple[tuple[str, float, fl
 
     What K and B are of a joint with an effect depends on the equations.
     """
-    weighed = found.sets.get(tuple(sorted(case.truth)))
+    alike = [one for keys, one in found.sets.items() if same(keys, case.truth)]
+    weighed = max(alike, key=lambda one: one.log_evidence, default=None)
     if weighed is None or case.kind == "unknown":
         return ()
     values = weighed.candidate.values

@@ -535,33 +535,47 @@ class CoulombFriction(HiddenEffect):
     stribeck_speed : float
         Velocity (rad/s) over which the one goes over into the other.
     form : str
-        "sign": the two are equal. "stribeck": static friction is larger.
+        "sign": the two are equal. "stribeck": static friction is larger. "uneven": the two are
+        equal, and larger one way than the other.
+    uneven : float
+        How much larger they are towards larger angles than on average, as a share.
     """
 
     sliding: float
     static: float
     stribeck_speed: float
     form: str
+    uneven: float = 0.0
     key = "coulomb_friction"
-    forms = ("sign", "stribeck")
+    forms = ("sign", "stribeck", "uneven")
 
     @classmethod
     def draw(cls, rng: np.random.Generator, anatomy: Anatomy, form: str) -> Self:
         """Draw friction that can hold the joint 0.01 to 0.025 rad or more from rest."""
         sliding = rng.uniform(0.01, 0.025) * anatomy.stiffness
-        static = sliding if form == "sign" else sliding * rng.uniform(1.15, 1.5)
-        return cls(sliding, static, rng.uniform(0.1, 0.4), form)
+        static = sliding * rng.uniform(1.15, 1.5) if form == "stribeck" else sliding
+        speed = rng.uniform(0.1, 0.4)
+        uneven = 0.0
+        if form == "uneven":
+            uneven = rng.uniform(0.2, 0.5) * float(rng.choice([-1.0, 1.0]))
+        return cls(sliding, static, speed, form, uneven)
 
     def scaled(self, size: float) -> Self:
         """Scale both torques."""
         return self._times(size, "sliding", "static")
 
-    def magnitude(self, velocity: float) -> float:
-        """Torque (Nm) against a sliding velocity (rad/s), its sign left out."""
-        if self.static == self.sliding:
-            return self.sliding
+    def torque(self, velocity: float, direction: float) -> float:
+        """Torque (Nm) while sliding in a direction (1 or -1) at a velocity (rad/s)."""
         excess = self.static - self.sliding
-        return self.sliding + excess * math.exp(-((velocity / self.stribeck_speed) ** 2))
+        rest = excess * math.exp(-((velocity / self.stribeck_speed) ** 2)) if excess else 0.0
+        return direction * self._one_way(direction) * (self.sliding + rest)
+
+    def beyond(self, torque: float) -> float:
+        """Torque (Nm) beyond what it holds at rest; negative where it holds."""
+        return abs(torque) - self._one_way(torque) * self.static
+
+    def _one_way(self, direction: float) -> float:
+        return 1.0 + math.copysign(self.uneven, self.uneven * direction)
 
 
 @dataclass(frozen=True)

@@ -348,7 +348,7 @@ class _Run:
         if self._friction is None:
             rates[0], rates[1] = velocity, net / self._inertia
         elif self._sliding:
-            net -= self._sliding * self._friction.magnitude(velocity)
+            net -= self._friction.torque(velocity, self._sliding)
             rates[0], rates[1] = velocity, net / self._inertia
         return rates
 
@@ -368,13 +368,13 @@ class _Run:
     def _events(self) -> list[object] | None:
         if self._friction is None:
             return None
-        static, sliding = self._friction.static, self._sliding
+        friction, sliding = self._friction, self._sliding
 
         def slides_to_a_halt(time: float, state: np.ndarray) -> float:
             return float(sliding * state[1])
 
         def breaks_away(time: float, state: np.ndarray) -> float:
-            return abs(self._balance(time, state.tolist())[0]) - static
+            return friction.beyond(self._balance(time, state.tolist())[0])
 
         event = slides_to_a_halt if sliding else breaks_away
         event.terminal, event.direction = True, -1 if sliding else 1  # type: ignore[attr-defined]
@@ -384,6 +384,6 @@ class _Run:
         assert self._friction is not None
         self._state[1] = 0.0
         net = self._balance(time, self._state.tolist())[0]
-        held = self._sliding and abs(net) <= self._friction.static
+        held = self._sliding and self._friction.beyond(net) <= 0
         self._sliding = 0 if held else int(np.sign(net))
         self._state[1] = self._sliding * BREAKAWAY_SPEED

@@ -143,5 +143,8 @@ def _reaction(joint: Joint, motion: Motion, time: np.ndarray) -> np.ndarray:
         for i, speed in enumerate(velocity):
             last = float(np.sign(speed)) if abs(speed) > 1e-6 else last
             direction[i] = last
-        resisted += direction * [friction.magnitude(speed) for speed in velocity]
+        resisted += [
+            way and friction.torque(speed, way)
+            for speed, way in zip(velocity, direction.tolist(), strict=True)
+        ]
     return np.asarray(resisted)

@@ -109,6 +109,7 @@ REAL = {
             "BSD-3-Clause, DFKI 2021",
             "its weight, dry friction, and a time shift between the channels",
             _PENDULUM,
+            driven="torque",
             rig="The motor-driven pendulum",
         ),
         RealRecording(
@@ -120,6 +121,7 @@ REAL = {
             "BSD-3-Clause, DFKI 2021",
             "its weight, dry friction, and a time shift between the channels",
             _PENDULUM,
+            driven="torque",
             rig="The motor-driven pendulum",
         ),
         RealRecording(
