@@ -4,9 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from constructed import probabilities
 
 from identifiability.inference.conditional import one_by_one
 from identifiability.investigation.fits.bench import Workbench
+from identifiability.investigation.fits.candidate import unfitted
 from identifiability.investigation.session import Investigation
 from identifiability.joint.effects import EFFECTS
 from identifiability.joint.model import KBI
@@ -135,3 +137,56 @@ def test_half_the_step_is_as_likely():
         other = Workbench(replace(bench.split, rules=rules))
         moved[limit] = moved_by_half_the_step(other, other.fit(free.model, [free.values]))
     assert moved[0.02] < 0.02 < moved[np.inf]
+
+
+@pytest.mark.parametrize("driven", ["torque", "angle"])
+def test_a_lower_optimum_that_widths_meet_is_taken_up(driven):
+    """Whatever led the fit astray: the model that is shown leaves the least that is known."""
+    model = KBI() + EFFECTS["cubic_stiffness"]()
+    values = JOINT | {"cubic_stiffness.coefficient": 900.0, "cubic_stiffness.centre": 0.0}
+    data = trials(model, values, driven, shape=3 * (PULSE - 0.6 * SHIFTED))
+    study = Investigation(
+        data[:1], data[1:], library={"cubic_stiffness": EFFECTS["cubic_stiffness"]}
+    )
+    best = study.fit(model)
+    widths = study.widths(best)
+    assert study.lower(best, widths) is None
+    astray = best.values | {"K": 2 * best.values["K"], "I": 0.7 * best.values["I"]}
+    left = study.bench.residual(model, astray, study.split.fitted, (), best.scheme)
+    known = study.lower(replace(best, values=astray, fitted=left), widths)
+    assert known == pytest.approx(best.values, rel=1e-3)
+    # Where it was weighed is a place that no fit leaves: it starts from the other as well.
+    made_up = probabilities((("cubic_stiffness",), 1.0))
+    weighed = replace(made_up.sets["cubic_stiffness",], candidate=unfitted(model, astray))
+    posterior = replace(made_up, sets={**made_up.sets, ("cubic_stiffness",): weighed})
+    study.bench = Stuck(study.bench)
+    assert study.climb(posterior).final.values == pytest.approx(astray)
+    found = study.climb(posterior, also=known)
+    assert found.final.values == pytest.approx(best.values, rel=1e-3)
+    assert found.final.fitted.weighted < left.weighted
+
+
+class Stuck:
+    """A workbench whose fits end where they began, at the best of their starts."""
+
+    def __init__(self, bench):
+        self.bench = bench
+
+    def __getattr__(self, name):
+        return getattr(self.bench, name)
+
+    def fit(self, model, starts, *, refined=()):
+        found = self.bench.fit(model, starts, refined=refined)
+        ends = [
+            replace(found, values=dict(start), fitted=self.left(model, start, found))
+            for start in starts
+        ]
+        return min(ends, key=lambda one: one.fitted.weighted)
+
+    def finish(self, candidate):
+        if candidate.free:
+            return candidate
+        return self.fit(candidate.model, [candidate.values], refined=candidate.refined)
+
+    def left(self, model, values, found):
+        return self.residual(model, values, self.split.fitted, found.refined, found.scheme)

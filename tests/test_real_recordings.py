@@ -70,6 +70,28 @@ def test_the_pendulum_has_gravity_then_a_shift_of_the_channels_and_friction(shar
     assert rungs["sensor_delay"]["sensor_delay.delay"] == pytest.approx(-0.016, abs=0.003)
 
 
+@pytest.mark.parametrize(
+    ("file", "rubs"),
+    [("dfki_pendulum_ddp.csv", True), ("dfki_pendulum_direct_collocation.csv", False)],
+)
+def test_the_pendulum_whose_torque_is_imposed_has_gravity(shared_data, file, rubs):
+    """By default settings; in one record friction is weighed beside it, and held out it shows."""
+    columns = parse_columns(["time=time:s", "angle=position:rad", "torque=torque:Nm"])
+    study = Investigation([read_trial(shared_data / "real" / file, columns=columns)])
+    posterior = study.weigh()
+    claim = study.claim(posterior)
+    assert claim.sets == (("gravity",),)
+    found = study.climb(posterior)
+    assert found.missing[0].key == "gravity"
+    assert found.baseline.held_out.error > 0.5
+    assert found.missing[0].rung.held_out.error < 0.2
+    if rubs:
+        assert 1 - found.missing[0].rung.held_out.error > 0.95
+        assert posterior.present("coulomb_friction") > 0.5
+        assert [one.key for one in found.missing] == ["gravity", "coulomb_friction"]
+        assert 1 - found.final.held_out.error > 0.998
+
+
 @pytest.mark.long
 def test_the_ankle_has_a_stretch_reflex_and_no_sensor_shift(shared_data):
     record = read_trial(

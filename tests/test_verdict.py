@@ -17,6 +17,8 @@ from identifiability.investigation.rules import Rules
 from identifiability.investigation.smallest_seen.detectable import Detectable
 from identifiability.investigation.split import gather
 from identifiability.investigation.verdict.judge import KINDS, judge
+from identifiability.investigation.wording.consequence import consequence_sentence
+from identifiability.investigation.wording.next_step import next_step_sentence
 from identifiability.investigation.wording.verdict import because, verdict_sentence
 from identifiability.joint.effects import EFFECTS
 from identifiability.joint.model import KBI
@@ -86,6 +88,14 @@ def test_a_clue_beside_what_is_claimed_is_said_to_be_one(split):
     said = verdict_sentence(found)
     assert "misses gravity" in said
     assert "More likely than not it misses dry (Coulomb) friction (80 %) as well." in said
+    assert "tell whether it misses dry (Coulomb) friction as well" in next_step_sentence(found)
+    # What is at a bound of nothing is no number of many digits.
+    base = found.found.baseline
+    held = replace(base, values=base.values | {"B": 1e-12}, at_bound=("B",))
+    said = consequence_sentence(replace(found, found=replace(found.found, baseline=held)))
+    assert said.startswith("With all of that, K = ")
+    assert "0 (at its bound)" in said
+    assert "10⁻¹²" not in said
     # What is sure has no clue beside it.
     assert reason(findings(split, sure("gravity")), "clue") is None
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from identifiability.investigation.findings import Findings
 from identifiability.investigation.models import FittedModel, fitted_models
 from identifiability.investigation.wording.numbers import error_text
@@ -32,7 +34,8 @@ def consequence_sentence(findings: Findings) -> str:
             f"Do not quote {_values(base)}: they leave E = {error_text(errors[0])} on {trials}, "
             "and their widths do not hold what is missing."
         )
-    before = ", ".join(number(base.candidate.values[name]) for name in _JOINT)
+    plain = replace(base, sds={})
+    before = ", ".join(value_in_words(plain, name, unit=False) for name in _JOINT)
     falls = f"the error on {trials} goes from {error_text(errors[0])} to {error_text(errors[1])}"
     if errors[1] < errors[0]:
         falls = falls.replace("goes", "falls") + f", {_times(errors[0] / errors[1])}"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from identifiability.investigation.findings import Findings
 from identifiability.investigation.wording.next_experiment import next_experiment_sentence
+from identifiability.investigation.wording.verdict import listed
 from identifiability.numerals import number
 
 _STEPS = {
@@ -43,9 +44,17 @@ _STEPS = {
 def next_step_sentence(findings: Findings) -> str:
     """The next experiment where one was found, or else what is best done."""
     following = findings.next_experiment
-    if following is None:
-        return _STEPS[findings.verdict.kind]
-    return next_experiment_sentence(following)
+    if following is not None:
+        return next_experiment_sentence(following)
+    clues = [r for r in findings.verdict.reasons if r.kind == "clue"]
+    if findings.verdict.kind == "explained" and clues:
+        likely = listed([findings.library[key].title for key in clues[0].effects])
+        return (
+            "Record more trials, some larger and some slower: they tell whether it misses "
+            f"{likely} as well. Until then quote K, B and I of the model with all of that, and say "
+            "so."
+        )
+    return _STEPS[findings.verdict.kind]
 
 
 def safety_sentence(findings: Findings) -> str:
