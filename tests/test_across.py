@@ -1,6 +1,8 @@
 """Several records of one joint agree in what is the same, and differ where it is not."""
 
 import json
+import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,6 +10,8 @@ from hidden import CONDITIONS, TIME, trials
 
 from identifiability.cli.main import main
 from identifiability.errors import InputError
+from identifiability.investigation.across import agreement
+from identifiability.investigation.across import weighed as weighed_across
 from identifiability.investigation.across.agreement import across
 from identifiability.investigation.across.weighed import weigh_across
 from identifiability.investigation.session import Investigation
@@ -140,14 +144,42 @@ def test_the_page_the_record_and_the_figure_hold_what_was_found(agreeing):
     assert sum(panel.get_visible() for panel in figure.axes) == len(agreeing.parameters)
 
 
-def test_on_the_command_line(tmp_path, capsys):
+def folders_of(folder):
+    """Two records as files."""
     for name, own in list(OWN.items())[:2]:
-        (tmp_path / name).mkdir()
+        (folder / name).mkdir()
         for trial in trials(MODEL, SAME | own | {f"{KEY}.centre": 0.0}, noise=3e-3):
             rows = np.stack([TIME, trial.torque, trial.angle], axis=1)
-            path = tmp_path / name / f"{trial.name}.csv"
+            path = folder / name / f"{trial.name}.csv"
             np.savetxt(path, rows, delimiter=",", header="time_s,torque_Nm,angle_rad", comments="")
-    folders = [str(tmp_path / name) for name in list(OWN)[:2]]
+    return [str(folder / name) for name in list(OWN)[:2]]
+
+
+def test_a_record_is_taken_as_what_it_misses_says_its_torque_ran(tmp_path, monkeypatch):
+    """As one record is by an investigation of its own."""
+    asked, taken = [], {}
+    monkeypatch.setattr(Investigation, "weigh", lambda self, *, seed=1: None)
+
+    def otherwise(self, posterior, *, seed=1):
+        asked.append(self)
+        if len(asked) > 1:
+            return None
+        return Investigation(self._recorded[0], torque_between="smooth")
+
+    def all_of(records, **options):
+        taken.update({name: study.torque_between for name, study in records.items()})
+        return [SimpleNamespace(effects=())]
+
+    monkeypatch.setattr(Investigation, "otherwise", otherwise)
+    monkeypatch.setattr(weighed_across, "weigh_across", all_of)
+    monkeypatch.setattr(agreement, "across", lambda records, *given, **options: sys.exit(7))
+    with pytest.raises(SystemExit):
+        main(["across", *folders_of(tmp_path), "--out", str(tmp_path / "out")])
+    assert taken == {"rest": "smooth", "half": "straight"}
+
+
+def test_on_the_command_line(tmp_path, capsys):
+    folders = folders_of(tmp_path)
     out = tmp_path / "out"
     assert main(["across", *folders, "--effects", KEY, "--out", str(out)]) == 0
     assert sorted(f.name for f in out.iterdir()) == ["across.json", "across.md", "across.svg"]

@@ -87,6 +87,11 @@ def run(options: argparse.Namespace) -> int:
             for name, some in zip(names, trials, strict=True)
         }
         if keys is None:
+            # What a record misses may say otherwise how its torque ran between the samples.
+            records = {
+                name: study.otherwise(study.weigh(seed=options.seed), seed=options.seed) or study
+                for name, study in records.items()
+            }
             weighed = weigh_across(records, seed=options.seed, progress=progress)
             keys = weighed[0].effects
         model = KBI().plus(EFFECTS[key]() for key in keys)

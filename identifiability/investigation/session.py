@@ -139,6 +139,7 @@ class Investigation:
         self.bench = Workbench(split, dict(bounds or {}), InMemory() if kept is None else kept)
         self._recorded = tuple(trials), tuple(held_out), lowpass_hz
         self._evaluators: dict[int, Evaluator] = {}
+        self._weighed: dict[tuple[int, int], Probabilities] = {}
         self.remarks: tuple[str, ...] = ()
         if leads_are_motion(self.bench):
             self.bench, self.remarks = without_leads(self.bench), (_MOVING,)
@@ -198,16 +199,18 @@ class Investigation:
             Where the trials' rates are no multiples of the lowest.
         """
         number = self.bench.rules.most_effects if most is None else most
-        kept = evaluations_of(self, seed)
-        return weigh(
-            kept.evaluator,
-            self.baseline,
-            self.library,
-            number,
-            self.progress,
-            kept,
-            self.bench.rules,
-        )
+        if (number, seed) not in self._weighed:
+            kept = evaluations_of(self, seed)
+            self._weighed[number, seed] = weigh(
+                kept.evaluator,
+                self.baseline,
+                self.library,
+                number,
+                self.progress,
+                kept,
+                self.bench.rules,
+            )
+        return self._weighed[number, seed]
 
     @_one_thread
     def weigh_nested(self, posterior: Probabilities, *, seed: int = 1) -> Probabilities:
