@@ -9,6 +9,7 @@ import xarray
 from cases import SPREAD, Case, fit_of, moments_of, problem_of, seed_of, widths_of
 
 from identifiability.inference import convergence, sampling
+from identifiability.inference import problem as problem_module
 from identifiability.inference.convergence import diagnose, nested_ratio, rhat_nested
 from identifiability.inference.curvature import curvature
 from identifiability.inference.proposals import StudentMixture, laplace_t
@@ -216,6 +217,21 @@ def test_walkers_that_stay_where_they_begin_do_not_pass_for_convergence(monkeypa
     posterior = drawn(GAUSSIAN, quick=True)
     assert posterior.rhat_nested.min() > 2
     assert not posterior.converged
+
+
+def test_a_response_that_takes_long_is_sampled_by_few_draws_that_own_up_to_it(monkeypatch):
+    monkeypatch.setattr(sampling, "EFFICIENCY_LIMIT", 1.11)
+    usual = drawn(REFERENCE, quick=True)
+    assert usual.step == "mixture-t"
+    monkeypatch.setattr(problem_module, "_LONG", 0)
+    monkeypatch.setattr(sampling, "_pilot", None)
+    few = drawn(REFERENCE, quick=True)
+    assert "one response takes long" in few.reason
+    assert few.draws.size < 0.2 * usual.draws.size
+    assert not few.converged
+    # At full effort there is no such limit: then it would have to make a pilot run.
+    with pytest.raises(TypeError, match="not callable"):
+        drawn(REFERENCE)
 
 
 def narrow_run(begin_apart):
