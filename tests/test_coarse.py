@@ -10,6 +10,8 @@ from identifiability.inference.starts import starting_values
 from identifiability.investigation.posterior import band
 from identifiability.investigation.posterior.band import band_of
 from identifiability.investigation.posterior.reference import evaluator_of
+from identifiability.investigation.posterior.signatures import strongest
+from identifiability.joint.effects import EFFECTS
 from identifiability.joint.model import KBI
 
 
@@ -28,6 +30,17 @@ def test_a_fit_that_was_begun_on_fewer_samples_is_no_worse(driven):
         assert abs(one.values[name] - (JOINT | LONG[driven])[name]) < 5 * sd
     # Fewer samples know less: the rest of the record has had its say.
     assert evaluator.coarse.evaluate(model, starts).sds["K"] > 1.3 * one.sds["K"]
+
+
+@pytest.mark.parametrize("driven", ["torque", "angle"])
+def test_fewer_samples_show_whose_signature_is_the_strongest(driven):
+    trial, model = long_record(driven)
+    evaluator = evaluator_of(band_of([trial], []), JOINT)
+    whole = replace(evaluator, coarse=None)
+    found = whole.evaluate(KBI(), [JOINT])
+    one, other = (set(strongest(e, found, EFFECTS, {}, 3)) for e in (evaluator, whole))
+    assert model.effect_keys[0] in one & other
+    assert len(one & other) >= len(other) - 1
 
 
 def test_short_trials_are_fitted_as_they_are():
