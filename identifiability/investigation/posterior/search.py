@@ -139,6 +139,9 @@ class _Search:
         ranked = self._ranked(len(keys) + 1)[:_TAKEN_UP]
         near = [keys for keys in ranked if not self.weighing.is_far(keys, ranked[0])]
         self.weighing.take_up(near)
+        for better in self.weighing.share_noise():
+            if better not in self.refined:
+                self.plain[better] = known[better].log_evidence
         self._refine(len(keys) + 1)
 
     def leave_out(self) -> None:

@@ -244,7 +244,7 @@ class Weighing:
         for _ in range(_MOST_ROUNDS):
             while left := [k for k in self._within(_CONTENDS) if not self._is_taken_up(k)]:
                 self.take_up(left)
-            if not self._share():
+            if not (self._share() or self.share_noise()):
                 break
 
     def _within(self, nats: float) -> list[Keys]:
@@ -255,6 +255,34 @@ class Weighing:
 
     def _is_taken_up(self, keys: Keys) -> bool:
         return self.taken_up.get(keys) is self.found[keys]
+
+    def share_noise(self) -> list[Keys]:
+        """Give the likeliest set's noise to every set that it makes likelier; which these are.
+
+        However far behind they are: the noise of one may have been sought in vain, and a set that
+        contains it, with effects that do nothing, would be named for the noise that it happened on.
+        """
+        lead = self.found[max(self.found, key=lambda keys: self.found[keys].log_likelihood)]
+        others = [keys for keys, found in self.found.items() if found is not lead]
+
+        def likelier(keys: Keys) -> Evaluated | None:
+            known = self.found[keys]
+            least = known.log_likelihood + _SAME
+            by = self.evaluator.evaluated(known.problem, known.x, lead.weights, known.refined)
+            if not by.log_likelihood > least:
+                return None
+            return self.evaluator.reweighed(known, lead.weights.contenders[0])
+
+        better = []
+        for keys, found in zip(others, _side_by_side(likelier, others), strict=True):
+            if found is None or isinstance(found, str):
+                continue  # it stays as it was
+            if found.log_evidence > self.found[keys].log_evidence + _SAME:
+                better.append(keys)
+            if self._is_taken_up(keys):
+                self.taken_up[keys] = found
+            self.found[keys] = found
+        return better
 
     def _share(self) -> bool:
         """Give the sets that come near what the likeliest of them has; whether any is better so.
