@@ -468,15 +468,17 @@ class Evaluator:
             tuple(sought),
         )
 
-    @staticmethod
-    def _limits(problem: Problem, i: int) -> bool:
+    def _limits(self, problem: Problem, i: int) -> bool:
         """Whether the bound that a parameter lies at is one of physiology.
 
-        Not that of K, B or I, not where the effect vanishes, and not a form's own end.
+        Not that of K, B or I, not where the effect vanishes, not a form's own end, and not that of
+        what the compared samples can show of a resonance.
         """
         name = problem.names[i]
         parameter = problem.model.parameters[name]
         if name in ("K", "B", "I") or parameter.plain is not None:
+            return False
+        if problem.upper[i] < parameter.upper and name not in self.band.bounds:
             return False
         return parameter.null is None and not parameter.ends_form
 
