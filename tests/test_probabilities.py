@@ -730,6 +730,10 @@ def test_no_resonance_is_sought_beyond_what_is_compared():
         problem = band.problem(model)
         upper = dict(zip(problem.names, problem.upper, strict=True))["second_mass.frequency"]
         assert upper == pytest.approx(0.5 / band.interval)
+        # That is no bound of physiology: what lies there is no value that no joint has.
+        ev = replace(evaluator_for(trials), reference=SimpleNamespace(band=band))
+        at = [list(problem.names).index(f"second_mass.{n}") for n in ("frequency", "damping_ratio")]
+        assert [ev._limits(problem, i) for i in at] == [False, True]
         asked = replace(band, bounds={"second_mass.frequency": (1.0, 9.0)}).problem(model)
         assert asked.upper[list(asked.names).index("second_mass.frequency")] == 9.0
 

@@ -84,6 +84,31 @@ def test_each_effect_of_the_most_probable_set_is_left_out(driven):
     assert truth in search.enlarged
 
 
+@pytest.mark.parametrize("driven", ["torque", "angle"])
+def test_noise_that_one_set_found_is_tried_on_all_however_far_behind(driven):
+    """Or a set that contains another would be named for the noise that it happened on."""
+    study = study_of_a_pair(driven, KEYS)
+    evaluator = study._evaluator(1)
+    weighing = Weighing(evaluator, LIBRARY, study.baseline.keys, study.bench.rules)
+    model = KBI() + EFFECTS["cubic_stiffness"]()
+    values = study.baseline.values
+    jobs = [Job(KBI(), [values]), Job(model, [nested_values(model, values)])]
+    assert len(list(weighing.weigh(jobs))) == 2
+    lead = weighing.found["cubic_stiffness",]
+    # The same parameters in white noise of ten times the size, as a search that failed leaves it.
+    white = evaluator.white
+    loud = replace(white, estimate=replace(white.estimate, rms=10 * white.estimate.rms))
+    spoilt = evaluator.evaluated(weighing.found[()].problem, weighing.found[()].x, loud)
+    right = weighing.found[()]
+    weighing.found[()] = spoilt
+    assert spoilt.log_likelihood < right.log_likelihood - 100  # else nothing is tested
+    assert weighing.share_noise() == [()]
+    assert weighing.found[()].log_likelihood > right.log_likelihood - 1
+    assert weighing.found["cubic_stiffness",] is lead
+    # What no other noise makes likelier stays as it is.
+    assert weighing.share_noise() == []
+
+
 PENDULUM = {"K": 0.02, "B": 0.02, "I": 0.15, "gravity.moment": 3.0, "gravity.posture": 0.0}
 RUBS = {
     "coulomb_friction.torque": 0.15,
