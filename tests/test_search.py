@@ -100,6 +100,9 @@ def test_noise_that_one_set_found_is_tried_on_all_however_far_behind(driven):
     loud = replace(white, estimate=replace(white.estimate, rms=10 * white.estimate.rms))
     spoilt = evaluator.evaluated(weighing.found[()].problem, weighing.found[()].x, loud)
     right = weighing.found[()]
+    # What a model leaves is known; how likely that is in another noise needs no new response.
+    assert evaluator.likelihood_by(right, loud) == pytest.approx(spoilt.log_likelihood)
+    assert evaluator.likelihood_by(spoilt, right.weights) == pytest.approx(right.log_likelihood)
     weighing.found[()] = spoilt
     assert spoilt.log_likelihood < right.log_likelihood - 100  # else nothing is tested
     assert weighing.share_noise() == [()]

@@ -435,11 +435,8 @@ class Evaluator:
         at_lower, at_upper = touching(x, problem.lower, problem.upper)
         at_bound = at_lower | at_upper
         volume, inside, gains = log_volume(precision, gradient, at_bound)
-        order = weights.n_parameters
-        n = self.band.n_samples
         share = (weights.estimate.rms / self.band.scale) ** 2
-        log_likelihood = -0.5 * (weighed.squares_of(white, probe) + weights.log_determinant)
-        log_likelihood -= order * n / max(1, n - order - 2)
+        log_likelihood = self._log_likelihood(weighed, white, probe)
         log_evidence = (
             -share / NOISE_SHARE
             + sum(p.log_density(value) for p, value in zip(priors, x, strict=True))
@@ -467,6 +464,19 @@ class Evaluator:
             max([0.0, *(gain for i, gain in gains.items() if self._limits(problem, i))]),
             tuple(sought),
         )
+
+    def likelihood_by(self, found: Evaluated, weights: Weights) -> float:
+        """Log likelihood of a model as it is, in another noise than its own."""
+        weighed = Weighed(found.problem, self.band, weights)
+        probes = [rows[:, :1] for rows in found.probes] or None
+        return self._log_likelihood(weighed, *weighed.of([r[:, :1] for r in found.raw], probes))
+
+    def _log_likelihood(
+        self, weighed: Weighed, white: np.ndarray, probe: np.ndarray | None
+    ) -> float:
+        order, n = weighed.weights.n_parameters, self.band.n_samples
+        squares = weighed.squares_of(white, probe) + weighed.weights.log_determinant
+        return float(-0.5 * squares - order * n / max(1, n - order - 2))
 
     def _limits(self, problem: Problem, i: int) -> bool:
         """Whether the bound that a parameter lies at is one of physiology.

@@ -267,9 +267,7 @@ class Weighing:
 
         def likelier(keys: Keys) -> Evaluated | None:
             known = self.found[keys]
-            least = known.log_likelihood + _SAME
-            by = self.evaluator.evaluated(known.problem, known.x, lead.weights, known.refined)
-            if not by.log_likelihood > least:
+            if not self.evaluator.likelihood_by(known, lead.weights) > known.log_likelihood + _SAME:
                 return None
             return self.evaluator.reweighed(known, lead.weights.contenders[0])
 
