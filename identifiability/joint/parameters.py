@@ -6,13 +6,20 @@ from dataclasses import dataclass
 from math import floor, log10
 
 
+_NOTHING = 1e-9  # in SI units
+
+
 def with_unit(number: str, unit: str) -> str:
     """Return a number with its unit, where it has one: "1" is none."""
     return number if unit == "1" else f"{number} {unit}"
 
 
 def plus_minus(value: float, sd: float | None = None) -> str:
-    """Return a number with its standard deviation, to as many digits as that has two of."""
+    """Return a number with its standard deviation, to as many digits as that has two of.
+
+    What a fit leaves of a parameter at its bound of nothing is nothing.
+    """
+    value = value if abs(value) > _NOTHING else 0.0
     if sd is None or not 0 < sd < float("inf"):
         return f"{value:.4g}"
     decimals = 1 - floor(log10(sd))
