@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from math import floor, log10
 
-
 _NOTHING = 1e-9  # in SI units
 
 
