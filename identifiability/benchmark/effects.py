@@ -575,7 +575,7 @@ class CoulombFriction(HiddenEffect):
         return abs(torque) - self._one_way(torque) * self.static
 
     def _one_way(self, direction: float) -> float:
-        return 1.0 + math.copysign(self.uneven, self.uneven * direction)
+        return 1.0 + self.uneven * math.copysign(1.0, direction)
 
 
 @dataclass(frozen=True)

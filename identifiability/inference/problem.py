@@ -23,7 +23,7 @@ from identifiability.measurement.noise import Noise
 from identifiability.measurement.perturbations import Drive
 
 _DIFFERENCE, _SHARE = 1e-2, 1e-2  # step of differences: in slice widths, at most of the value
-_LONG = 20_000  # steps
+_LONG = 20_000  # steps of a response that takes some tens of milliseconds
 _SMALL = 1e-3  # share of its range that is a usual value of a parameter whose nominal one is 0
 # Places of differences of fourth order, in steps, and their shares times 12.
 _CENTRAL = (-2, -1, 1, 2), (1, -8, 8, -1)

@@ -61,7 +61,7 @@ def investigation_record(findings: Findings, *, command: str = "") -> dict[str, 
             "steps": [
                 {
                     "added": missing.name,
-                    "claimed": any(missing.key in names for names in verdict.sets),
+                    "claimed": verdict.names(missing.key),
                     "fitted_as": missing.key,
                     "equivalent": list(missing.could_be[1:]),
                     "share": missing.share,

@@ -80,8 +80,7 @@ def models_text(findings: Findings) -> list[str]:
 
 def _name(one: FittedModel, findings: Findings) -> str:
     """What a model is; what is not claimed is a clue."""
-    claimed = any(one.added in names for names in findings.verdict.sets)
-    clue = one.role in ("step", "final") and not claimed
+    clue = one.role in ("step", "final") and not findings.verdict.names(one.added)
     return name_in_words(one) + (" (a clue)" if clue else "")
 
 

@@ -106,7 +106,7 @@ class _Climb:
         most of all is chance; one that no error falls by is not worth a look.
         """
         small = last.share is not None and last.share < self.bench.rules.trace_share
-        beside = self.claim.kind == "effects" and not any(last.key in s for s in self.claim.sets)
+        beside = self.claim.kind == "effects" and not self.claim.names(last.key)
         return small and (self.claim.kind == "unknown" or beside)
 
     def _ladder(self, keys: Keys) -> tuple[Candidate, tuple[Missing, ...]]:

@@ -44,6 +44,10 @@ class Claim:
     probability: float
     present: tuple[str, ...] = ()
 
+    def names(self, effect: str) -> bool:
+        """Whether an effect is claimed, alone or as one of several."""
+        return any(effect in names for names in self.sets)
+
 
 def claim_of(posterior: Probabilities, library: Mapping[str, type[Effect]], share: float) -> Claim:
     """The most that can be named with a probability.

@@ -9,7 +9,7 @@ equations are not exact; with more it is "none of these".
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from math import comb, log
@@ -271,8 +271,12 @@ class Weighing:
                 return None
             return self.evaluator.reweighed(known, lead.weights.contenders[0])
 
+        return self._adopt(others, _side_by_side(likelier, others))
+
+    def _adopt(self, sets: Sequence[Keys], forms: Iterable[Evaluated | str | None]) -> list[Keys]:
+        """Take other forms of sets for what they are; which of these are better so."""
         better = []
-        for keys, found in zip(others, _side_by_side(likelier, others), strict=True):
+        for keys, found in zip(sets, forms, strict=True):
             if found is None or isinstance(found, str):
                 continue  # it stays as it was
             if found.log_evidence > self.found[keys].log_evidence + _SAME:
@@ -309,15 +313,7 @@ class Weighing:
                 known = richer if better and not self._objection(richer) else known
             return self.evaluator.reweighed(known, noise)
 
-        better = False
-        for keys, found in zip(others, _side_by_side(alike, others), strict=True):
-            if isinstance(found, str):
-                continue  # it stays as it was
-            better |= found.log_evidence > self.found[keys].log_evidence + _SAME
-            if self._is_taken_up(keys):
-                self.taken_up[keys] = found
-            self.found[keys] = found
-        return better
+        return bool(self._adopt(others, _side_by_side(alike, others)))
 
     def describe(self) -> None:
         """Evaluate descriptions in the place of effects of the best set of every size.

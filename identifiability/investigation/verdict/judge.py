@@ -75,6 +75,15 @@ class Verdict:
         """Best name for each missing effect."""
         return tuple(names[0] for names in self.sets)
 
+    @property
+    def clues(self) -> Mapping[str, float]:
+        """Effects that the error is shown to fall with and that are not named: probabilities."""
+        return next((r.numbers for r in self.reasons if r.kind == "clue"), {})
+
+    def names(self, effect: str) -> bool:
+        """Whether an effect is named, alone or as one of several."""
+        return any(effect in names for names in self.sets)
+
 
 UNDECIDED = Verdict("undecided", ())
 """Where nothing could be weighed."""
@@ -111,7 +120,7 @@ def judge(
     explains = found.share is None or found.share >= split.rules.explained_share
     named = claim.kind == "effects" and explains
     reasons = [_probabilities(claim, posterior)]
-    sure = tuple(key for key in claim.effects if any(key in names for names in claim.sets))
+    sure = tuple(key for key in claim.effects if claim.names(key))
     if claim.kind == "effects" and found.failure:
         # An effect is named for the error that falls with it, which is not known here.
         reasons.append(Reason("no error", sure, {}, found.failure))

@@ -41,7 +41,7 @@ def consequence_sentence(findings: Findings) -> str:
         falls = falls.replace("goes", "falls") + f", {_times(errors[0] / errors[1])}"
     clue = findings.verdict.kind.startswith("unknown") or findings.verdict.kind == "unrepeatable"
     with_it = "With what is named as a clue" if clue else "With it"
-    if not clue and any(reason.kind == "clue" for reason in findings.verdict.reasons):
+    if not clue and findings.verdict.clues:
         with_it = "With all of that"
     rivals = [one for one in models if one.role == "instead"]
     if rivals:

@@ -46,9 +46,9 @@ def next_step_sentence(findings: Findings) -> str:
     following = findings.next_experiment
     if following is not None:
         return next_experiment_sentence(following)
-    clues = [r for r in findings.verdict.reasons if r.kind == "clue"]
+    clues = findings.verdict.clues
     if findings.verdict.kind == "explained" and clues:
-        likely = listed([findings.library[key].title for key in clues[0].effects])
+        likely = listed([findings.library[key].title for key in clues])
         return (
             "Record more trials, some larger and some slower: they tell whether it misses "
             f"{likely} as well. Until then quote K, B and I of the model with all of that, and say "

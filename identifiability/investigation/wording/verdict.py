@@ -45,10 +45,10 @@ def listed(words: Sequence[str]) -> str:
 
 def verdict_sentence(findings: Findings) -> str:
     """The verdict in one or two sentences."""
-    clue = next((r for r in findings.verdict.reasons if r.kind == "clue"), None)
-    if clue is None or not findings.verdict.sets:
+    clues = findings.verdict.clues
+    if not clues or not findings.verdict.sets:
         return _verdict(findings)
-    also = [f"{findings.library[key].title} ({percent(p)})" for key, p in clue.numbers.items()]
+    also = [f"{findings.library[key].title} ({percent(p)})" for key, p in clues.items()]
     return f"{_verdict(findings)} More likely than not it misses {listed(also)} as well."
 
 
