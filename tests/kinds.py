@@ -4,7 +4,6 @@ import numpy as np
 
 from identifiability.joint.effects import (
     EFFECTS,
-    LooseCoupling,
     RelaxationSpectrum,
     StiffeningHysteresis,
 )
@@ -31,7 +30,7 @@ class ParallelSpring(Effect):
         return p[0] * motion.angle
 
 
-DESCRIPTIONS = (LooseCoupling, RelaxationSpectrum, StiffeningHysteresis)
+DESCRIPTIONS = (RelaxationSpectrum, StiffeningHysteresis)
 KINDS = EFFECTS | {kind.key: kind for kind in (*DESCRIPTIONS, ParallelSpring)}
 LINEAR = [key for key in sorted(KINDS) if KINDS[key].linear]
 
@@ -49,8 +48,9 @@ KBI_VALUES = {"K": 50.0, "B": 2.0, "I": 0.1}
 GENERIC = {
     "coulomb_friction": {"breakaway": 0.3, "asymmetry": 0.2},
     "cubic_stiffness": {"centre": -0.05},
+    "damping_by_angle": {"middle": 0.02},
+    "end_stop": {"side": 0.3, "middle": 0.01, "rounding": 0.004},
     "hill_force_velocity": {"asymmetry": 0.3},
-    "loose_coupling": {"gap": 0.02, "own_stiffness": 200.0, "own_damping": 8.0},
     "nonlinear_tendon": {"asymmetry": 0.3, "bypass_stiffness": 4.0, "bypass_damping": 0.2},
     "quadratic_stiffness": {"hardening": 3.0},
     "sensor_delay": {"delay": 0.0033},

@@ -28,15 +28,15 @@ def run(code):
 
 
 def test_an_effect_of_ones_own():
-    effect = run(blocks("extend.md")[0])["library"]["end_stop"]
+    effect = run(blocks("extend.md")[0])["library"]["cogging"]
     model, time = KBI() + effect(), np.arange(1000) / 1000
-    values = {"K": 30.0, "B": 1.0, "I": 0.1, "end_stop.stiffness": 500.0, "end_stop.begin": 0.05}
+    values = {"K": 30.0, "B": 1.0, "I": 0.1, "cogging.size": 0.5, "cogging.pitch": 0.8}
     drive = Step(amplitude=6.0).drive(time)
-    stopped = simulate(model, model.vector(values), drive)
+    held = simulate(model, model.vector(values), drive)
     free = simulate(KBI(), KBI().vector({k: values[k] for k in "KBI"}), drive)
     assert free[-1] == pytest.approx(0.2, rel=1e-2)
-    # 6 Nm = 30 q + 500 (q - 0.05)
-    assert stopped[-1] == pytest.approx(31 / 530, rel=1e-2)
+    # Where it rests both together carry 6 Nm; a quarter pitch from the tooth is 0.2 rad.
+    assert 30 * held[-1] + 0.5 * np.sin(2 * np.pi * held[-1] / 0.8) == pytest.approx(6.0, rel=1e-2)
 
 
 def test_a_reader_of_ones_own(tmp_path):

@@ -30,7 +30,8 @@ def test_it_composes(effect):
         KBI().without(effect.key)
 
 
-PAIRS = list(itertools.combinations(sorted(KINDS), 2))
+COUPLINGS = ["backlash", "soft_coupling"]  # of which a joint has one at most
+PAIRS = [pair for pair in itertools.combinations(sorted(KINDS), 2) if list(pair) != COUPLINGS]
 
 
 @pytest.mark.parametrize(("first", "second"), PAIRS)
@@ -48,14 +49,16 @@ def test_the_order_of_addition_does_not_matter(first, second):
 def test_equations_of_a_pair_are_those_of_its_effects(keys):
     model = KBI() + KINDS[keys[0]]() + KINDS[keys[1]]()
     values = values_of(model)
-    (K, B, _), *parameters = np.split(values, 3 + np.cumsum([0, *_sizes(model)])[:-1])
+    (K, B, I), *parameters = np.split(values, 3 + np.cumsum([0, *_sizes(model)])[:-1])
     given = [(effect, list(p)) for effect, p in zip(model.effects, parameters, strict=True)]
     # Motions, states and delayed motions that are all different.
-    joint, pasts = Motion(0.05, 0.7), [Motion(0.03, -0.4), Motion(-0.02, 0.6)]
-    tendons = [effect.place == "series" for effect in model.effects]
+    driven, pasts = Motion(0.05, 0.7), [Motion(0.03, -0.4), Motion(-0.02, 0.6)]
+    places = [effect.place for effect in model.effects]
+    between = 2 * ("coupling" in places) + ("series" in places)
     internal = 0.01 * np.arange(1, 1 + model.n_internal)
-    states = np.split(internal[int(any(tendons)) :], np.cumsum([e.n_states for e in model.effects]))
-    found = model.react(values, joint, internal, pasts)
+    states = np.split(internal[between:], np.cumsum([e.n_states for e in model.effects]))
+    found = model.react(values, driven, internal, pasts)
+    joint = Motion(*internal[:2]) if "coupling" in places else driven
 
     def torque(place, motion):
         return sum(
@@ -68,20 +71,26 @@ def test_equations_of_a_pair_are_those_of_its_effects(keys):
         return K * motion.angle + B * motion.velocity + torque("muscle", motion)
 
     contractile, expected = joint, []
-    if any(tendons):
+    if "series" in places:
         # The muscle shortens such that it carries the tension.
-        contractile = Motion(internal[0], float(found.rates[0]))
-        tension = torque("series", Motion(joint.angle - internal[0], 0.0))
+        contractile = Motion(internal[between - 1], float(found.rates[between - 1]))
+        tension = torque("series", Motion(joint.angle - contractile.angle, 0.0))
         assert muscle(contractile) == pytest.approx(tension, rel=1e-9)
         expected = [contractile.velocity]
     beside = sum(float(e.bypass(p, joint)) for e, p in given if e.place == "series")
-    assert float(found.torque) == pytest.approx(
-        muscle(contractile) + torque("joint", joint) + beside
-    )
+    resisted = muscle(contractile) + torque("joint", joint) + beside
     for (effect, p), own, past in zip(given, states[:-1], pasts, strict=True):
         seen = contractile if effect.place == "muscle" else joint
         expected += list(effect.rates(p, seen, own, past)) if effect.n_states else []
-    np.testing.assert_allclose(found.rates, expected, rtol=1e-12)
+    if "coupling" in places:
+        # The limb behind is moved by what the link carries, with the rest of the inertia.
+        stretch = Motion(driven.angle - joint.angle, driven.velocity - joint.velocity)
+        carried, share = torque("coupling", stretch), _before(given)
+        assert float(model.inertia(values)) == pytest.approx(share * I)
+        expected = [joint.velocity, (carried - resisted) / ((1 - share) * I), *expected]
+        resisted = carried
+    assert float(found.torque) == pytest.approx(resisted)
+    np.testing.assert_allclose(found.rates, expected, rtol=1e-9)
 
     delays = [effect.delay(p) for effect, p in given]
     assert [d if d is None else float(d) for d in model.delays(values)] == delays
@@ -89,6 +98,10 @@ def test_equations_of_a_pair_are_those_of_its_effects(keys):
     for effect, p in given:
         recorded = effect.record(p, recorded, 1e-3)
     np.testing.assert_array_equal(model.record(values, response, 1e-3), recorded)
+
+
+def _before(given):
+    return next(float(effect.before(p)) for effect, p in given if effect.place == "coupling")
 
 
 def _sizes(model):
@@ -126,16 +139,16 @@ def test_pairs_compose(first, second):
     for effect, rest, found in zip(pair, alone, changed[2:], strict=True):
         if effect.place == rest.effects[0].place == "series":
             continue  # two tendons lie side by side: an infinite one leaves nothing to the other
-        rtol = 1e-3 if effect.place == "series" else 1e-9
+        rtol = 1e-3 if effect.place in {"series", "coupling"} else 1e-9
         agree(found, respond(rest, values_of(rest), drive), rtol)
 
 
-def test_all_effects_compose():
-    model = KBI()
-    for kind in KINDS.values():
-        model = model + kind()
-    assert len(set(model.parameter_names)) == 3 + sum(len(e.parameters) for e in KINDS.values())
-    assert model.effect_keys == tuple(sorted(KINDS))
+@pytest.mark.parametrize("coupling", COUPLINGS)
+def test_all_effects_compose(coupling):
+    chosen = [kind() for key, kind in KINDS.items() if key == coupling or key not in COUPLINGS]
+    model = KBI().plus(chosen)
+    assert len(set(model.parameter_names)) == 3 + sum(len(e.parameters) for e in chosen)
+    assert model.effect_keys == tuple(sorted(effect.key for effect in chosen))
     nominal = dict(zip(model.parameter_names, values_of(model), strict=True))
     strengths = [next(iter(nulls_of(effect))) for effect in model.effects]
     rows = [values_of(model), *(values_of(model, **{n: 1.5 * nominal[n]}) for n in strengths)]
@@ -148,6 +161,16 @@ def test_all_effects_compose():
 def test_adding_it_twice_is_refused(effect):
     with pytest.raises(InputError, match=f"already has the effect '{effect.key}'; add it once"):
         KBI() + effect + effect
+
+
+def test_a_joint_has_one_coupling():
+    one, other = (KINDS[key]() for key in COUPLINGS)
+    model = KBI() + one
+    assert not model.takes(other)
+    assert not model.takes(one)
+    assert KBI().takes(other)
+    with pytest.raises(InputError, match="already has the coupling 'backlash' before the limb"):
+        model + other
 
 
 def test_adding_the_class_is_explained(effect):

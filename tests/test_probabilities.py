@@ -407,18 +407,23 @@ def test_values_that_no_joint_has_are_not_taken_up():
 
 
 def test_richer_forms_start_from_what_they_are_a_form_of():
+    key = "stiffening_hysteresis"
+    model = KBI() + EFFECTS["short_range_stiffness"]()
+    values = dict(zip(model.parameter_names, model.nominal, strict=True))
+    values["short_range_stiffness.stiffness"] = 17.0
+    (loop,) = descriptions_of(evaluated_as(0.0, model, values), (), EFFECTS)
+    assert (loop.key, loop.rest, loop.refined) == (key, (), (key,))
+    assert loop.starts[0][f"{key}.stiffness"] == 17.0
+    assert {s[f"{key}.reversal"] for s in loop.starts} > {0.0}
+
+
+def test_relaxation_at_several_paces_is_no_news_where_one_was_not_tried():
     model = KBI() + EFFECTS["second_mass"]()
     values = dict(zip(model.parameter_names, model.nominal, strict=True))
-    values["second_mass.frequency"] = 17.0
-    found, play = descriptions_of(evaluated_as(0.0, model, values), (), EFFECTS)
+    (found,) = descriptions_of(evaluated_as(0.0, model, values), (), EFFECTS)
     assert found.key == "relaxation_spectrum"
-    assert (play.key, play.rest, play.refined) == ("loose_coupling", (), ("loose_coupling",))
-    assert play.starts[0]["loose_coupling.frequency"] == 17.0
-    assert {s["loose_coupling.gap"] for s in play.starts} > {0.0}
-    # Relaxation at several paces is no news where relaxation at one was not tried.
     fewer = [key for key in EFFECTS if key != "maxwell_branch"]
-    (only,) = descriptions_of(evaluated_as(0.0, model, values), (), fewer)
-    assert only.key == "loose_coupling"
+    assert not descriptions_of(evaluated_as(0.0, model, values), (), fewer)
 
 
 # Noise of an imposed angle

@@ -147,9 +147,9 @@ def test_where_the_rest_is_noise_the_discrepancy_has_the_kind(sizes, expected, s
 
 
 def test_something_unknown_is_said_to_be_like_a_description(split):
-    found = findings(split, UNKNOWN, 0.0, "static", description="loose_coupling")
+    found = findings(split, UNKNOWN, 0.0, "static", description="stiffening_hysteresis")
     assert found.verdict.kind == "unknown_memory"
-    assert "In form it comes nearest to play between what is driven and" in in_words(found)
+    assert "In form it comes nearest to a hysteresis that stiffens at" in in_words(found)
 
 
 def test_what_comes_nearest_to_something_unknown_is_a_clue(split):

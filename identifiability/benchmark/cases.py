@@ -245,6 +245,10 @@ PAIRS: tuple[tuple[str, ...], ...] = (
     ("second_mass", "cubic_stiffness"),
     ("coulomb_friction", "sensor_lowpass"),
     ("quadratic_stiffness", "sensor_drift"),
+    ("stretch_reflex", "end_stop"),
+    ("gravity", "end_stop"),
+    ("series_tendon", "damping_by_angle"),
+    ("coulomb_friction", "damping_by_direction"),
 )
 
 TRIPLES: tuple[tuple[str, ...], ...] = (

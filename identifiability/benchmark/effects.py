@@ -657,6 +657,235 @@ class SecondMass(TorqueEffect):
         return torque, (speed, torque / self.inertia)
 
 
+@dataclass(frozen=True)
+class EndStop(TorqueEffect):
+    """A stop beyond which the joint is stiff: bone, capsule or rubber of a rig.
+
+    Attributes
+    ----------
+    stiffness : float
+        In Nm/rad, beyond the stop; of a rubber ball at `DEEP` beyond it.
+    begin : float
+        Angle (rad) of the stop.
+    side : float
+        1 or -1: towards larger angles, or towards smaller ones.
+    form : str
+        "one_sided": at once as stiff. "both_sides": another at the same angle on the other side.
+        "hertzian": a ball of rubber, whose torque grows as the power 3/2 (Hertz 1882).
+    """
+
+    stiffness: float
+    begin: float
+    side: float
+    form: str
+    key = "end_stop"
+    forms = ("one_sided", "both_sides", "hertzian")
+    DEEP: ClassVar[float] = 0.03
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator, anatomy: Anatomy, form: str) -> Self:
+        """Draw a stop two to five times as stiff as the joint, at 0.01 to 0.05 rad."""
+        return cls(
+            rng.uniform(2.0, 5.0) * anatomy.stiffness,
+            rng.uniform(0.01, 0.05),
+            float(rng.choice([-1.0, 1.0])),
+            form,
+        )
+
+    def scaled(self, size: float) -> Self:
+        """Scale its stiffness."""
+        return self._times(size, "stiffness")
+
+    def react(  # noqa: D102
+        self, time: float, angle: float, velocity: float, states: Sequence[float], past: Past
+    ) -> Reaction:
+        torque = self.side * self._pressed(self.side * angle)
+        if self.form == "both_sides":
+            torque -= self.side * self._pressed(-self.side * angle)
+        return torque, AT_REST
+
+    def _pressed(self, towards: float) -> float:
+        deep = max(towards - self.begin, 0.0)
+        if self.form == "hertzian":
+            return self.stiffness * deep * math.sqrt(deep / self.DEEP) / 1.5
+        return self.stiffness * deep
+
+
+@dataclass(frozen=True)
+class DampingByAngle(TorqueEffect):
+    """Damping that the joint meets on one side, or that grows towards it.
+
+    Attributes
+    ----------
+    damping : float
+        In Nms/rad, on that side; of one that grows, the part of the joint's that does.
+    side : float
+        1 or -1: towards larger angles, or towards smaller ones.
+    reach : float
+        Angle (rad) over which damping grows by a factor of e.
+    form : str
+        "half": a damper that is met on the way. "growing": exponentially, with the angle.
+    """
+
+    damping: float
+    side: float
+    reach: float
+    form: str
+    key = "damping_by_angle"
+    forms = ("half", "growing")
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator, anatomy: Anatomy, form: str) -> Self:
+        """Draw a damper of two to five times the joint's damping, or all that grows."""
+        more = rng.uniform(2.0, 5.0) if form == "half" else 1.0
+        side, reach = float(rng.choice([-1.0, 1.0])), rng.uniform(0.06, 0.15)
+        return cls(more * anatomy.damping, side, reach, form)
+
+    def scaled(self, size: float) -> Self:
+        """Scale the damper, or the exponent."""
+        if self.form == "half":
+            return self._times(size, "damping")
+        return self._times(1.0 / size, "reach")
+
+    def react(  # noqa: D102
+        self, time: float, angle: float, velocity: float, states: Sequence[float], past: Past
+    ) -> Reaction:
+        towards = self.side * angle
+        if self.form == "half":
+            return (self.damping * velocity if towards > 0.0 else 0.0), AT_REST
+        return self.damping * math.expm1(towards / self.reach) * velocity, AT_REST
+
+
+@dataclass(frozen=True)
+class DampingByDirection(TorqueEffect):
+    """Damping with another value in each direction, as of a shock absorber.
+
+    Attributes
+    ----------
+    damping : float
+        In Nms/rad: how much more one direction has.
+    side : float
+        1 or -1: towards larger angles, or towards smaller ones.
+    """
+
+    damping: float
+    side: float
+    key = "damping_by_direction"
+    forms = ("two_values",)
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator, anatomy: Anatomy, form: str) -> Self:
+        """Draw one to three times the joint's damping."""
+        return cls(rng.uniform(1.0, 3.0) * anatomy.damping, float(rng.choice([-1.0, 1.0])))
+
+    def scaled(self, size: float) -> Self:
+        """Scale the difference."""
+        return self._times(size, "damping")
+
+    def react(  # noqa: D102
+        self, time: float, angle: float, velocity: float, states: Sequence[float], past: Past
+    ) -> Reaction:
+        return (self.damping * velocity if self.side * velocity > 0.0 else 0.0), AT_REST
+
+
+# Between what is driven and measured and the limb
+
+
+@dataclass(frozen=True)
+class Coupling(TorqueEffect):
+    """A link between the driven and measured handle and the limb, which has its own K, B and I.
+
+    Attributes
+    ----------
+    stiffness : float
+        In Nm/rad.
+    damping : float
+        In Nms/rad.
+    handle_inertia : float
+        Inertia (kg m²) of the handle.
+    limb : Anatomy
+        The joint behind the link.
+    """
+
+    stiffness: float
+    damping: float
+    handle_inertia: float
+    limb: Anatomy
+
+    def handle(self) -> Anatomy:
+        """The handle alone: what the applied torque acts on."""
+        return Anatomy(self.handle_inertia, 0.0, 0.0, 0.0, 0.0)
+
+    def n_states(self) -> int:  # noqa: D102
+        return 2
+
+    @abstractmethod
+    def contact(self, stretch: float, rate: float) -> float:
+        """Torque (Nm) of the link at a stretch (rad) and its rate."""
+
+    def react(  # noqa: D102
+        self, time: float, angle: float, velocity: float, states: Sequence[float], past: Past
+    ) -> Reaction:
+        where, speed = states
+        contact = self.contact(angle - where, velocity - speed)
+        resisted = self.limb.stiffness * where + self.limb.damping * speed
+        return contact, (speed, (contact - resisted) / self.limb.inertia)
+
+
+@dataclass(frozen=True)
+class SoftCoupling(Coupling):
+    """A cuff or fixture that gives."""
+
+    key = "soft_coupling"
+    forms = ("linear",)
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator, anatomy: Anatomy, form: str) -> Self:
+        """Draw a cuff 4 to 12 times as stiff, and a handle of 15 to 30 % of the inertia."""
+        stiffness = rng.uniform(4.0, 12.0) * anatomy.stiffness
+        handle = rng.uniform(0.15, 0.3) * anatomy.inertia
+        damping = 2.0 * rng.uniform(0.1, 0.4) * math.sqrt(stiffness * handle)
+        return cls(stiffness, damping, handle, anatomy)
+
+    def scaled(self, size: float) -> Self:
+        """Scale its compliance."""
+        return self._times(1.0 / size, "stiffness", "damping")
+
+    def contact(self, stretch: float, rate: float) -> float:  # noqa: D102
+        return self.stiffness * stretch + self.damping * rate
+
+
+@dataclass(frozen=True)
+class Backlash(Coupling):
+    """Play: a link that pushes beyond a gap and never pulls.
+
+    Attributes
+    ----------
+    gap : float
+        Play (rad) to either side.
+    """
+
+    gap: float
+    key = "backlash"
+    forms = ("symmetric",)
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator, anatomy: Anatomy, form: str) -> Self:
+        """Draw a play of 4 to 12 mrad and a handle of 15 to 30 % of the joint's inertia."""
+        handle = rng.uniform(0.15, 0.3) * anatomy.inertia
+        return cls(900.0, 1.5, handle, anatomy, rng.uniform(0.004, 0.012))
+
+    def scaled(self, size: float) -> Self:
+        """Return the joint with `size` times the play; without it the handle adds its inertia."""
+        return self._times(size, "gap")
+
+    def contact(self, stretch: float, rate: float) -> float:  # noqa: D102
+        if abs(stretch) <= self.gap:
+            return 0.0
+        push = self.stiffness * (stretch - math.copysign(self.gap, stretch)) + self.damping * rate
+        return max(push, 0.0) if stretch > 0.0 else min(push, 0.0)
+
+
 # On the way from the joint to the record
 
 
@@ -777,6 +1006,11 @@ EFFECTS: dict[str, type[HiddenEffect]] = {
         SensorDelay,
         SensorLowpass,
         SensorDrift,
+        EndStop,
+        DampingByAngle,
+        DampingByDirection,
+        SoftCoupling,
+        Backlash,
     )
 }
 """Effects by the names that an investigation knows them by."""

@@ -17,6 +17,7 @@ from identifiability.benchmark.effects import (
     AT_REST,
     EFFECTS,
     CoulombFriction,
+    Coupling,
     HiddenEffect,
     HillForceVelocity,
     Past,
@@ -27,7 +28,7 @@ from identifiability.benchmark.effects import (
     Tendon,
     TorqueEffect,
 )
-from identifiability.benchmark.unknowns import UNKNOWNS, Backlash
+from identifiability.benchmark.unknowns import UNKNOWNS
 from identifiability.errors import InputError
 
 E = TypeVar("E", bound=HiddenEffect)
@@ -68,8 +69,8 @@ class Joint:
         keys = [effect.key for effect in self.effects]
         if len(set(keys)) < len(keys) or sum(isinstance(e, Tendon) for e in self.effects) > 1:
             raise InputError(f"found the effects {keys}, expected each, and one tendon, once")
-        if Backlash.key in keys and len(keys) > 1:
-            raise InputError(f"found the effects {keys}, but backlash can only be had alone")
+        if any(isinstance(e, Coupling) for e in self.effects) and len(keys) > 1:
+            raise InputError(f"found the effects {keys}, but a coupling can only be had alone")
 
     @property
     def keys(self) -> tuple[str, ...]:
@@ -95,7 +96,7 @@ class Joint:
         """Return the joint with its anatomy multiplied by factors, its effects as they are."""
         anatomy = self.anatomy.scaled(stiffness, damping, inertia)
         effects = (
-            dataclasses.replace(effect, limb=anatomy) if isinstance(effect, Backlash) else effect
+            dataclasses.replace(effect, limb=anatomy) if isinstance(effect, Coupling) else effect
             for effect in self.effects
         )
         return Joint(anatomy, tuple(effects))
@@ -218,8 +219,8 @@ class _Run:
 
     def __init__(self, joint: Joint, torque: np.ndarray, interval: float, rtol: float) -> None:
         effects = joint.effects
-        backlash = find(Backlash, effects)
-        anatomy = joint.anatomy if backlash is None else backlash.handle()
+        coupling = find(Coupling, effects)  # type: ignore[type-abstract]
+        anatomy = joint.anatomy if coupling is None else coupling.handle()
         tendon = find(Tendon, effects)  # type: ignore[type-abstract]
         muscle = Muscle(anatomy, tendon, find(HillForceVelocity, effects))
         self._inertia = anatomy.inertia

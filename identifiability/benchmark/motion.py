@@ -11,6 +11,7 @@ from scipy.integrate import solve_ivp
 
 from identifiability.benchmark.effects import (
     CoulombFriction,
+    Coupling,
     HillForceVelocity,
     SensorDelay,
     SensorDrift,
@@ -19,7 +20,6 @@ from identifiability.benchmark.effects import (
     TorqueEffect,
 )
 from identifiability.benchmark.joints import Joint, Muscle, find
-from identifiability.benchmark.unknowns import Backlash
 
 _ORDER = 6  # of the smooth steps: continuous up to the fourth derivative
 _RTOL = 1e-8
@@ -88,8 +88,8 @@ def reaction(joint: Joint, motion: Motion, time: np.ndarray) -> np.ndarray:
 
 def _reaction(joint: Joint, motion: Motion, time: np.ndarray) -> np.ndarray:
     effects = joint.effects
-    backlash = find(Backlash, effects)
-    anatomy = joint.anatomy if backlash is None else backlash.handle()
+    coupling = find(Coupling, effects)  # type: ignore[type-abstract]
+    anatomy = joint.anatomy if coupling is None else coupling.handle()
     muscle = Muscle(
         anatomy,
         find(Tendon, effects),  # type: ignore[type-abstract]

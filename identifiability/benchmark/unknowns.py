@@ -175,65 +175,6 @@ class FractionalDamping(TorqueEffect):
 
 
 @dataclass(frozen=True)
-class Backlash(TorqueEffect):
-    """Play between the driven and measured handle and the limb, which has its own K, B and I.
-
-    Attributes
-    ----------
-    gap : float
-        Play (rad) to either side.
-    contact_stiffness : float
-        Stiffness (Nm/rad) of the contact.
-    contact_damping : float
-        Damping (Nms/rad) of the contact; the contact pushes but never pulls.
-    handle_inertia : float
-        Inertia (kg m²) of the handle.
-    limb : Anatomy
-        The joint behind the play.
-    """
-
-    gap: float
-    contact_stiffness: float
-    contact_damping: float
-    handle_inertia: float
-    limb: Anatomy
-    key = "backlash"
-    forms = ("symmetric",)
-
-    @classmethod
-    def draw(cls, rng: np.random.Generator, anatomy: Anatomy, form: str) -> Self:
-        """Draw a play of 4 to 12 mrad and a handle of 15 to 30 % of the joint's inertia."""
-        handle = rng.uniform(0.15, 0.3) * anatomy.inertia
-        return cls(rng.uniform(0.004, 0.012), 900.0, 1.5, handle, anatomy)
-
-    def scaled(self, size: float) -> Self:
-        """Return the joint with `size` times the play; without it the handle adds its inertia."""
-        return self._times(size, "gap")
-
-    def handle(self) -> Anatomy:
-        """The handle alone: what the applied torque acts on."""
-        return Anatomy(self.handle_inertia, 0.0, 0.0, 0.0, 0.0)
-
-    def n_states(self) -> int:  # noqa: D102
-        return 2
-
-    def react(  # noqa: D102
-        self, time: float, angle: float, velocity: float, states: Sequence[float], past: Past
-    ) -> Reaction:
-        where, speed = states
-        pressed, closing = angle - where, velocity - speed
-        contact = 0.0
-        if pressed > self.gap:
-            push = self.contact_stiffness * (pressed - self.gap) + self.contact_damping * closing
-            contact = max(push, 0.0)
-        elif pressed < -self.gap:
-            push = self.contact_stiffness * (pressed + self.gap) + self.contact_damping * closing
-            contact = min(push, 0.0)
-        resisted = self.limb.stiffness * where + self.limb.damping * speed
-        return contact, (speed, (contact - resisted) / self.limb.inertia)
-
-
-@dataclass(frozen=True)
 class QuadraticDrag(TorqueEffect):
     """Drag of a fluid, as the square of velocity.
 
@@ -260,38 +201,6 @@ class QuadraticDrag(TorqueEffect):
         self, time: float, angle: float, velocity: float, states: Sequence[float], past: Past
     ) -> Reaction:
         return self.coefficient * abs(velocity) * velocity, AT_REST
-
-
-@dataclass(frozen=True)
-class EndStop(TorqueEffect):
-    """A stop beyond which the joint is stiff, on one side: bone, capsule or rubber of a rig.
-
-    Attributes
-    ----------
-    stiffness : float
-        In Nm/rad, beyond the stop.
-    begin : float
-        Angle (rad) of the stop.
-    """
-
-    stiffness: float
-    begin: float
-    key = "end_stop"
-    forms = ("one_sided",)
-
-    @classmethod
-    def draw(cls, rng: np.random.Generator, anatomy: Anatomy, form: str) -> Self:
-        """Draw a stop two to five times as stiff as the joint, at 0.01 to 0.05 rad."""
-        return cls(rng.uniform(2.0, 5.0) * anatomy.stiffness, rng.uniform(0.01, 0.05))
-
-    def scaled(self, size: float) -> Self:
-        """Scale its stiffness."""
-        return self._times(size, "stiffness")
-
-    def react(  # noqa: D102
-        self, time: float, angle: float, velocity: float, states: Sequence[float], past: Past
-    ) -> Reaction:
-        return self.stiffness * max(angle - self.begin, 0.0), AT_REST
 
 
 @dataclass(frozen=True)
@@ -372,47 +281,15 @@ class Thixotropy(TorqueEffect):
         return self.stiffness * (1.0 - broken) * angle, (rate,)
 
 
-@dataclass(frozen=True)
-class SidedDamping(TorqueEffect):
-    """Damping on one side of the middle alone, as of a damper that is met on the way.
-
-    Attributes
-    ----------
-    damping : float
-        In Nms/rad, where the angle is positive.
-    """
-
-    damping: float
-    key = "sided_damping"
-    forms = ("half",)
-
-    @classmethod
-    def draw(cls, rng: np.random.Generator, anatomy: Anatomy, form: str) -> Self:
-        """Draw two to five times the joint's damping."""
-        return cls(rng.uniform(2.0, 5.0) * anatomy.damping)
-
-    def scaled(self, size: float) -> Self:
-        """Scale its damping."""
-        return self._times(size, "damping")
-
-    def react(  # noqa: D102
-        self, time: float, angle: float, velocity: float, states: Sequence[float], past: Past
-    ) -> Reaction:
-        return (self.damping * velocity if angle > 0.0 else 0.0), AT_REST
-
-
 UNKNOWNS: dict[str, type[HiddenEffect]] = {
     effect.key: effect
     for effect in (
         TimeVaryingStiffness,
         BoucWenHysteresis,
         FractionalDamping,
-        Backlash,
         QuadraticDrag,
-        EndStop,
         CoggingTorque,
         Thixotropy,
-        SidedDamping,
     )
 }
 """Effects outside the usual list, by key."""

@@ -57,7 +57,7 @@ def print_effects() -> None:
 
     width = max(map(len, EFFECTS))
     for key, effect in EFFECTS.items():
-        print(f"{key:{width}}  {effect.place:7} {effect.title}")
+        print(f"{key:{width}}  {effect.place:8} {effect.title}")
 
 
 def add_out_option(parser: argparse.ArgumentParser) -> None:

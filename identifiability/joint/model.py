@@ -70,6 +70,11 @@ class Model:
             ) from None
         if other.key in self.effect_keys:
             raise InputError(f"the model already has the effect '{other.key}'; add it once")
+        if other.place == "coupling" and self._coupling is not None:
+            raise InputError(
+                f"the model already has the coupling '{self._coupling.key}' before the limb; add "
+                f"'{other.key}' to the model without it"
+            )
         # The order of addition must not change names or numbers, so effects are kept sorted.
         return Model(tuple(sorted((*self.effects, other), key=lambda effect: effect.key)))
 
@@ -79,6 +84,11 @@ class Model:
         for effect in effects:
             model = model + effect
         return model
+
+    def takes(self, effect: type[Effect] | Effect) -> bool:
+        """Whether an effect can be added: it has none of its key, and one coupling at most."""
+        taken = effect.place == "coupling" and self._coupling is not None
+        return effect.key not in self.effect_keys and not taken
 
     def without(self, key: str) -> Model:
         """Return the model without the effect `key`.
@@ -195,13 +205,15 @@ class Model:
     def pace(self, values: Mapping[str, float], imposed: Imposed = "torque") -> float:
         """Fastest rate [1/s] of what is integrated and not linear; see `Effect.pace`.
 
-        Under an imposed angle only the internal states are integrated.
+        Under an imposed angle only the internal states are integrated, the limb behind a coupling
+        among them.
         """
         inner = [
             e for e in self.effects if e.has_memory or (e.place == "muscle" and self._has_tendon)
         ]
+        moves = imposed == "torque" or self._coupling is not None
         try:
-            chosen = self.effects if imposed == "torque" else inner
+            chosen = self.effects if moves else inner
             paces = [abs(effect.pace(values)) for effect in chosen]
         except (ArithmeticError, ValueError):
             return math.inf  # of parameters that no joint has
@@ -210,11 +222,17 @@ class Model:
     @property
     def n_internal(self) -> int:
         """Number of states besides the joint's own angle and velocity."""
-        return int(self._has_tendon) + sum(effect.n_states for effect in self.effects)
+        return self._n_between + sum(effect.n_states for effect in self.effects)
 
     def inertia(self, theta: ArrayLike) -> Array:
-        """Inertia [kg m²] of a parameter vector."""
-        return jnp.asarray(theta)[2]
+        """Inertia [kg m²] of what is driven and measured: the joint's, or that before a coupling.
+
+        Parameters
+        ----------
+        theta : array, shape (n_parameters,)
+        """
+        theta = jnp.asarray(theta)
+        return theta[2] * self._before(self._effect_parameters(theta))
 
     def delays(self, theta: ArrayLike) -> list[Array | None]:
         """Delay [s] of each effect, ``None`` where it has none."""
@@ -225,17 +243,18 @@ class Model:
     def react(
         self, theta: ArrayLike, motion: Motion, internal: Array, delayed: Sequence[Motion]
     ) -> Reaction:
-        """Torque that resists a motion, without inertia.
+        """Torque that resists a motion of what is driven and measured, without its inertia.
 
         Parameters
         ----------
         theta : array, shape (n_parameters,)
         motion : Motion
-            Angle and velocity of the joint.
+            Angle and velocity.
         internal : array, shape (n_internal,)
-            Angle of the contractile element, if there is a tendon, then the effects' own states.
+            Angle and velocity of the limb behind a coupling, if there is one, angle of the
+            contractile element, if there is a tendon, then the effects' own states.
         delayed : sequence of Motion
-            For each effect the motion of the joint one delay ago.
+            For each effect the motion one delay ago.
 
         Returns
         -------
@@ -243,7 +262,7 @@ class Model:
         """
         theta = jnp.asarray(theta)
         per_effect = self._effect_parameters(theta)
-        states, first = [], int(self._has_tendon)
+        states, first = [], self._n_between
         for effect in self.effects:
             states.append(internal[first : first + effect.n_states])
             first += effect.n_states
@@ -263,17 +282,22 @@ class Model:
             return theta[0] * angle + theta[1] * velocity + torque_of("muscle", seen, given)
 
         rates: list[Array] = []
+        driven, coupling = motion, self._coupling
+        if coupling is not None:
+            motion = Motion(internal[0], internal[1])
+            stretch, slip = (jnp.asarray(a) - b for a, b in zip(driven, motion, strict=True))
+            load = torque_of("coupling", Motion(stretch, slip))
         contractile = motion
         if self._has_tendon:
             # The element moves such that it carries the tendon's torque.
-            angle = internal[0]
+            angle = internal[self._n_between - 1]
             tension = torque_of("series", Motion(motion.angle - angle, 0.0))
             affine = all(e.affine_in_velocity for e in self.effects if e.place == "muscle")
             held = jax.lax.stop_gradient((theta, given, angle, tension))
 
             def excess(v: Array, fixed: bool = False) -> Array:
-                at, known, where, load = held if fixed else (theta, given, angle, tension)
-                return muscle(Motion(where, v), at, known) - load
+                at, known, where, carried = held if fixed else (theta, given, angle, tension)
+                return muscle(Motion(where, v), at, known) - carried
 
             velocity = _balance(excess, affine)
             contractile = Motion(angle, velocity)
@@ -293,6 +317,10 @@ class Model:
             if effect.n_states:
                 seen = contractile if effect.place == "muscle" else motion
                 rates.append(jnp.asarray(effect.rates(p, seen, own, past)))
+        if coupling is not None:
+            behind = theta[2] * (1 - self._before(per_effect))
+            rates.insert(0, jnp.stack([motion.velocity, (load - torque) / behind]))
+            torque = load
         return Reaction(jnp.asarray(torque), jnp.concatenate([*rates, jnp.zeros(0)]))
 
     def record(self, theta: ArrayLike, response: Array, interval: ArrayLike) -> Array:
@@ -318,6 +346,24 @@ class Model:
     @property
     def _has_tendon(self) -> bool:
         return any(effect.place == "series" for effect in self.effects)
+
+    @property
+    def _coupling(self) -> Effect | None:
+        return next((effect for effect in self.effects if effect.place == "coupling"), None)
+
+    @property
+    def _n_between(self) -> int:
+        """States of what stands between: the limb behind a coupling, the end of a tendon."""
+        return 2 * (self._coupling is not None) + self._has_tendon
+
+    def _before(self, per_effect: Sequence[Sequence[Array]]) -> ArrayLike:
+        """Share of the inertia that is driven and measured."""
+        shares = (
+            effect.before(p)
+            for effect, p in zip(self.effects, per_effect, strict=True)
+            if effect.place == "coupling"
+        )
+        return next(shares, 1.0)
 
     def _effect_parameters(self, theta: Array) -> list[Sequence[Array]]:
         parts: list[Sequence[Array]] = []

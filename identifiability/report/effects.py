@@ -13,6 +13,8 @@ _PLACES = {
     "joint": "acts on the joint, beside everything else that spans it",
     "muscle": "acts in the muscle, beside K and B, and like them in series with a tendon",
     "series": "stands between the muscle and the joint",
+    "coupling": "stands between what is driven and measured and the limb, of which K, B and all "
+    "other effects are",
     "sensor": "is in the recorder, not in the joint",
 }
 

@@ -128,7 +128,7 @@ class _Search:
         more = {
             key: effect
             for key, effect in self.library.items()
-            if key not in current.model.effect_keys and tuple(sorted((*keys, key))) not in known
+            if current.model.takes(effect) and tuple(sorted((*keys, key))) not in known
         }
         alone = {key: known[key,].values for key in more if (key,) in known}
         most = _SEEN if keys else len(more)
@@ -174,9 +174,10 @@ class _Search:
         larger, jobs = self.weighing.found[keys], []
         for key in keys:
             for other in larger.model.effect(key).refines:
-                if other not in self.library or other in larger.model.effect_keys:
+                rest = larger.model.without(key)
+                if other not in self.library or not rest.takes(self.library[other]):
                     continue
-                model = larger.model.without(key) + self.library[other]()
+                model = rest + self.library[other]()
                 values = renamed(larger, key, other, model)
                 if values is not None:
                     forms = (other if k == key else k for k in larger.refined)

@@ -71,7 +71,7 @@ def stepwise(
     current = evaluator.by_least_squares(evaluator.begun(base.model, [base.values]))
     added: list[str] = []
     for _ in range(most):
-        more = {k: e for k, e in library.items() if k not in current.model.effect_keys}
+        more = {k: e for k, e in library.items() if current.model.takes(e)}
         seen = strongest(evaluator, current, more, {}, _BEGUN, plainly=True)
         begun: dict[str, Begun] = {}
         for i, key in enumerate(seen):

@@ -153,8 +153,10 @@ def follow(
     response : Response
     """
     effects = candidate.model.effects
-    # In series with a tendon, stiffness and damping multiply a motion that is not the joint's.
-    acting = ("I",) if any(e.place == "series" for e in effects) else ("K", "B", "I")
+    # In series with a tendon, stiffness and damping multiply a motion that is not the joint's; nor
+    # does what is behind a coupling.
+    places = {effect.place for effect in effects}
+    acting = "" if "coupling" in places else "I" if "series" in places else "KBI"
     out = []
     for trace, part in zip(traces, smooth, strict=True):
         moved = _moved(trace, part)

@@ -39,6 +39,10 @@ class Effect(ABC):
     ``"series"``
         an elastic element between the muscle and the joint; ``torque`` is its torque at a stretch
         (in rad) and has no states of its own; ``bypass`` is what acts beside it and the muscle;
+    ``"coupling"``
+        a link between a body that is driven and measured, and the limb behind it with all else;
+        ``torque`` is its torque at a stretch and its rate, and ``before`` the share of the inertia
+        I that is that body's. A model has one at most. What is delayed is the body's motion;
     ``"sensor"``
         nothing in the joint: ``record`` says what the instruments make of the true response.
 
@@ -69,7 +73,7 @@ class Effect(ABC):
     key: ClassVar[str]
     title: ClassVar[str] = ""
     parameters: ClassVar[tuple[Parameter, ...]]
-    place: ClassVar[Literal["joint", "muscle", "series", "sensor"]]
+    place: ClassVar[Literal["joint", "muscle", "series", "coupling", "sensor"]]
     linear: ClassVar[bool]
     affine_in_velocity: ClassVar[bool] = True
     n_states: ClassVar[int] = 0
@@ -104,6 +108,10 @@ class Effect(ABC):
             Angle [rad] and velocity [rad/s] of the joint.
         """
         return 0.0
+
+    def before(self, p: Sequence[Array]) -> ArrayLike:
+        """Share of the inertia that is before a coupling."""
+        return 1.0
 
     def torque(
         self, p: Sequence[Array], motion: Motion, states: Array, delayed: Motion
@@ -226,7 +234,7 @@ class Effect(ABC):
     @property
     def has_memory(self) -> bool:
         """Whether its torque depends on the past of the joint's motion."""
-        return self.place == "series" or self.n_states > 0
+        return self.place in ("series", "coupling") or self.n_states > 0
 
     def __init_subclass__(cls, **options: Any) -> None:
         super().__init_subclass__(**options)

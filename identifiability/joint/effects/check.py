@@ -7,7 +7,7 @@ import math
 from identifiability.errors import InputError
 from identifiability.joint.parameters import Parameter
 
-PLACES = ("joint", "muscle", "series", "sensor")
+PLACES = ("joint", "muscle", "series", "coupling", "sensor")
 TAKEN = ("K", "B", "I")
 """Names of the joint's own parameters."""
 
@@ -42,10 +42,11 @@ def check_effect(kind: type) -> None:
             "torque and rates are linear in motion and states"
         )
     states = getattr(kind, "n_states", 0)
-    if not isinstance(states, int) or states < 0 or (place == "series" and states):
+    between = place in ("series", "coupling")
+    if not isinstance(states, int) or states < 0 or (between and states):
         raise InputError(
             f"found {states!r} states of {kind.__name__}, expected a number from 0 on, and none in "
-            "series"
+            "series or of a coupling"
         )
     _check_parameters(kind)
 

@@ -8,7 +8,13 @@ import numpy as np
 
 from identifiability.joint.native.calls import add_forced, add_product, copy_row
 from identifiability.joint.native.duals import entries_of, exponential, solved
-from identifiability.joint.native.moving import Imposed, Machine, linear_part, over_inertia
+from identifiability.joint.native.moving import (
+    Imposed,
+    Machine,
+    add_inertial,
+    linear_part,
+    over_inertia,
+)
 from identifiability.loops import compiled_loop
 
 
@@ -115,9 +121,7 @@ def exact(machine: Machine, imposed: Imposed, by: Propagator, out: np.ndarray) -
                     out[k, t] += rest[0, j, 0] * state[j, t]
                     if t:
                         out[k, t] += rest[0, j, t] * state[j, 0]
-            out[k, 0] += machine.theta[2] * acceleration
-            if machine.lanes[2]:
-                out[k, machine.lanes[2]] += acceleration
+            add_inertial(machine, acceleration, out[k])
         else:
             if imposed.impulses[k] != 0.0:
                 over_inertia(machine, imposed.impulses[k], state[1])
@@ -131,7 +135,7 @@ def exact(machine: Machine, imposed: Imposed, by: Propagator, out: np.ndarray) -
 def _values(machine: Machine, imposed: Imposed, by: Propagator, out: np.ndarray) -> None:
     """The same without derivatives."""
     if machine.rest.shape[1] == 2 and not imposed.angle:
-        _of_two(imposed, by, 1.0 / machine.theta[2], out)
+        _of_two(imposed, by, 1.0 / machine.inertia[0], out)
         return
     n, m, rest = machine.rest.shape[1], imposed.states.shape[1], machine.rest
     state, moved = np.zeros(n), np.zeros(n)
@@ -146,10 +150,10 @@ def _values(machine: Machine, imposed: Imposed, by: Propagator, out: np.ndarray)
             value = rest[0, 0, 0] * imposed.given[k, 0] + rest[0, 1, 0] * imposed.given[k, 1]
             for j in range(2, n):
                 value += rest[0, j, 0] * state[j]
-            out[k, 0] = value + machine.theta[2] * imposed.given[k, 2]
+            out[k, 0] = value + machine.inertia[0] * imposed.given[k, 2]
         else:
             if imposed.impulses[k] != 0.0:
-                state[1] += imposed.impulses[k] / machine.theta[2]
+                state[1] += imposed.impulses[k] / machine.inertia[0]
             out[k, 0] = state[0]
         for i in range(first, n):
             value = 0.0

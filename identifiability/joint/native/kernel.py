@@ -42,7 +42,8 @@ class Kernel:
     turning : Code
         Of the same the derivatives of the internal states' rates by these states.
     still : Code
-        Of the parameters the derivatives at rest of what is moving, and the delays.
+        Of the parameters the derivatives at rest of what is moving, the delays, and the inertia
+        that is driven.
     """
 
     model: Model
@@ -103,15 +104,16 @@ def _made(model: Model, free: tuple[int, ...]) -> Kernel:
             seen[place] = Motion(past[2 * i], past[2 * i + 1])
         reaction = model.react(theta, motion, moving[2:], seen)
         delays = [d for d in model.delays(theta) if d is not None]
-        return reaction.torque, reaction.rates, delays
+        return reaction.torque, reaction.rates, delays, model.inertia(theta)
 
     n_past = 2 * len(delayed)
     traced = jax.make_jaxpr(react)(np.zeros(k), np.zeros(2 + n), np.zeros(n_past))
     graph, width = Graph(), _wide(free)
     inputs = np.array([graph.input(i) for i in range(k + 2 + n + n_past)], object)
-    torque, rates, *delays = expressions_of(graph, traced, np.split(inputs, [k, k + 2 + n]))
-    applied, inertia = graph.input(len(inputs)), graph.input(2)
-    acceleration = graph.of("div", graph.of("sub", applied, torque.item()), inertia)
+    given = np.split(inputs, [k, k + 2 + n])
+    torque, rates, *delays, inertia = expressions_of(graph, traced, given)
+    applied = graph.input(len(inputs))
+    acceleration = graph.of("div", graph.of("sub", applied, torque.item()), inertia.item())
     outputs = [torque.item(), acceleration, *rates.tolist()]
     moved = list(range(k, k + 2 + n + n_past))
     slopes = graph.derivatives(outputs, [*free, *moved])
@@ -123,7 +125,7 @@ def _made(model: Model, free: tuple[int, ...]) -> Kernel:
     turning = [Row(one, ()) for row in by_motion[2:] for one in row[2 : 2 + n]]
     by_state = [one for row in by_motion for one in row[: 2 + n]]
     resting = graph.substituted(by_state, dict.fromkeys([*moved, len(inputs)], 0.0))
-    resting += [delay.item() for delay in delays]
+    resting += [delay.item() for delay in delays] + [inertia.item()]
     bends = graph.derivatives(resting, free)
     still = [Row(value, row) for value, row in zip(resting, bends, strict=True)]
     if len(graph.nodes) > _MOST:

@@ -21,8 +21,6 @@ class Machine(NamedTuple):
     moving, turning : int
         Addresses of its code, see `Kernel`.
     theta : array, shape (n_parameters,)
-    lanes : array of int, shape (n_parameters,)
-        Which derivative is that by each parameter, from 1; 0 if none.
     alone : bool
         Whether there are no derivatives.
     rest : array, shape (2 + n_internal, 2 + n_internal, width)
@@ -30,15 +28,17 @@ class Machine(NamedTuple):
         and internal states.
     delays : array, shape (n_delays, width)
         In s.
+    inertia : array, shape (width,)
+        Of what is driven and measured [kg m²].
     """
 
     moving: int
     turning: int
     theta: np.ndarray
-    lanes: np.ndarray
     alone: bool
     rest: np.ndarray
     delays: np.ndarray
+    inertia: np.ndarray
 
 
 class Imposed(NamedTuple):
@@ -81,9 +81,17 @@ def signal(imposed: Imposed, sample: int, place: int, out: np.ndarray) -> None:
 @compiled_loop
 def over_inertia(machine: Machine, torque: float, out: np.ndarray) -> None:
     """Add the acceleration by a torque [Nm], with its derivative."""
-    out[0] += torque / machine.theta[2]
-    if machine.lanes[2]:
-        out[machine.lanes[2]] -= torque / machine.theta[2] ** 2
+    moved = torque / machine.inertia[0]
+    out[0] += moved
+    for t in range(1, out.size):
+        out[t] -= moved * machine.inertia[t] / machine.inertia[0]
+
+
+@compiled_loop
+def add_inertial(machine: Machine, acceleration: float, out: np.ndarray) -> None:
+    """Add the torque that an acceleration takes, with its derivatives."""
+    for t in range(out.size):
+        out[t] += machine.inertia[t] * acceleration
 
 
 @compiled_loop

@@ -89,18 +89,18 @@ class _Sizes(NamedTuple):
 
 
 @compiled_loop
-def _machine(sizes: _Sizes, theta: np.ndarray, lanes: np.ndarray) -> Machine:
+def _machine(sizes: _Sizes, theta: np.ndarray) -> Machine:
     n = sizes.n_states
-    rest = np.zeros((n * n + sizes.n_delays, sizes.width))
+    rest = np.zeros((n * n + sizes.n_delays + 1, sizes.width))
     run(sizes.still, theta, rest, rest, rest)
     return Machine(
         sizes.moving,
         sizes.turning,
         theta,
-        lanes,
         sizes.alone != 0,
         rest[: n * n].reshape(n, n, sizes.width),
-        rest[n * n :],
+        rest[n * n : -1],
+        rest[-1],
     )
 
 
@@ -224,7 +224,7 @@ def respond(plan: Any, theta: Any, out: Any, _: Any) -> None:
     )
     _respond(
         sizes,
-        _machine(sizes, carray(theta, k, np.float64), lanes),
+        _machine(sizes, carray(theta, k, np.float64)),
         _Instruments(sensors, lanes),
         starts,
         intervals,

@@ -20,7 +20,13 @@ from identifiability.joint.native.duals import (
     solved,
 )
 from identifiability.joint.native.machine import LANES
-from identifiability.joint.native.moving import Imposed, Machine, over_inertia, signal
+from identifiability.joint.native.moving import (
+    Imposed,
+    Machine,
+    add_inertial,
+    over_inertia,
+    signal,
+)
 from identifiability.loops import compiled_loop
 
 _NEWTON_STEPS = 22
@@ -314,9 +320,7 @@ def integrated(
             _react(machine, point, pasts[place], applied[0], given, rates)
             if imposed.angle and k == 0 and not within:
                 copy_row(rates, 0, out, sample)
-                out[sample, 0] += machine.theta[2] * applied[2]
-                if machine.lanes[2]:
-                    out[sample, machine.lanes[2]] += applied[2]
+                add_inertial(machine, applied[2], out[sample])
                 if idle or index == n_steps:
                     break
             copy_row(point, 1, rates, 0)

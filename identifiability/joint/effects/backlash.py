@@ -1,0 +1,80 @@
+"""Play between what is driven and measured and the limb."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import jax.numpy as jnp
+from jax import Array
+from jax.typing import ArrayLike
+
+from identifiability.joint.effects.base import Effect, Motion
+from identifiability.joint.effects.soft_coupling import LINK, pace_of
+from identifiability.joint.parameters import Parameter
+
+
+class Backlash(Effect):
+    r"""Play of handle, cuff or gear: a link with a gap.
+
+    .. math::
+        T = k\,(\sigma(s) + \tau\, \sigma'(s)\, \dot s), \qquad
+        \sigma(s) = s + \frac{1}{2}\left[\sqrt{(s - g)^2 + r^2} - \sqrt{(s + g)^2 + r^2}\right]
+
+    with the bodies of a soft coupling, which it is without its gap g to either side. Contact comes
+    over r, 1 mrad in the plain form. Play vanishes with the gap, and with it the link as its
+    stiffness goes to infinity.
+    """
+
+    key = "backlash"
+    title = "play (backlash) before the limb"
+    place = "coupling"
+    linear = False
+    confused_with = ("second_mass", "soft_coupling", "coulomb_friction")
+    refines = ("soft_coupling",)
+    parameters = (
+        *LINK,
+        Parameter(
+            "gap",
+            "g",
+            "rad",
+            nominal=0.01,
+            lower=0.0,
+            upper=0.1,
+            null=0.0,
+            description="play to either side",
+        ),
+        Parameter(
+            "rounding",
+            "r",
+            "rad",
+            nominal=0.001,
+            lower=0.0002,
+            upper=0.02,
+            plain=0.001,
+            description="stretch over which the contact comes",
+            ends_form=True,
+        ),
+    )
+    references = (
+        "Nordin & Gutman 2002, Automatica 38: 1633-1649 (mechanical systems with backlash)",
+    )
+
+    def before(self, p: Sequence[Array]) -> ArrayLike:
+        """Share of the inertia that is driven and measured."""
+        return p[2]
+
+    def torque(
+        self, p: Sequence[Array], motion: Motion, states: Array, delayed: Motion
+    ) -> ArrayLike:
+        """Torque [Nm] of the link at a stretch of ``motion.angle`` rad."""
+        stiffness, time, _, gap, rounding = p
+        stretch = jnp.asarray(motion.angle)
+        ahead = jnp.sqrt((stretch - gap) ** 2 + rounding**2)
+        behind = jnp.sqrt((stretch + gap) ** 2 + rounding**2)
+        pressed = stretch + 0.5 * (ahead - behind)
+        touch = 1 + 0.5 * ((stretch - gap) / ahead - (stretch + gap) / behind)
+        return stiffness * (pressed + time * touch * motion.velocity)
+
+    def pace(self, values: Mapping[str, float]) -> float:
+        """Fastest rate [1/s] of the two bodies in contact."""
+        return pace_of(self.key, values)

@@ -1,0 +1,87 @@
+"""A link that gives, between what is driven and measured and the limb."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+from jax import Array
+from jax.typing import ArrayLike
+
+from identifiability.joint.effects.base import Effect, Motion
+from identifiability.joint.parameters import Parameter
+
+LINK = (
+    Parameter(
+        "stiffness",
+        "k",
+        "Nm/rad",
+        nominal=500.0,
+        lower=1.0,
+        upper=1e5,
+        null=float("inf"),
+        description="stiffness of the link",
+    ),
+    Parameter(
+        "time",
+        r"\tau",
+        "s",
+        nominal=0.002,
+        lower=5e-5,
+        upper=0.05,
+        description="damping of the link over its stiffness",
+    ),
+    Parameter(
+        "share",
+        "h",
+        "1",
+        nominal=0.2,
+        lower=0.01,
+        upper=0.95,
+        description="part of the inertia I that is before the link: of handle, footplate or motor",
+    ),
+)
+"""Parameters of a link, and of what is before it."""
+
+
+def pace_of(key: str, values: Mapping[str, float]) -> float:
+    """Fastest rate [1/s] of two bodies with a link between them."""
+    stiffness, time, share = (values[f"{key}.{p.name}"] for p in LINK)
+    omega = math.sqrt(stiffness / (values["I"] * share * (1 - share)))
+    return omega * (1 + time * omega)
+
+
+class SoftCoupling(Effect):
+    r"""Compliance of cuff, fixture or soft tissue before the limb.
+
+    .. math::
+        h I \ddot\theta + T = \text{torque}, \qquad T = k\,(s + \tau \dot s), \qquad
+        s = \theta - \theta_2, \qquad (1 - h)\, I\, \ddot\theta_2 = T - T_\mathrm{limb}
+
+    The angle is that of the body before the link, with the part h of the inertia I; K, B and all
+    other effects are the limb's behind it. The link vanishes as its stiffness goes to infinity.
+    """
+
+    key = "soft_coupling"
+    title = "a compliant cuff or fixture before the limb"
+    place = "coupling"
+    linear = True
+    confused_with = ("second_mass", "series_tendon", "maxwell_branch", "backlash")
+    parameters = LINK
+    references = (
+        "Spong 1987, J Dyn Syst Meas Control 109: 310-318 (two inertias and the spring between)",
+    )
+
+    def before(self, p: Sequence[Array]) -> ArrayLike:
+        """Share of the inertia that is driven and measured."""
+        return p[2]
+
+    def torque(
+        self, p: Sequence[Array], motion: Motion, states: Array, delayed: Motion
+    ) -> ArrayLike:
+        """Torque [Nm] of the link at a stretch of ``motion.angle`` rad."""
+        return p[0] * (motion.angle + p[1] * motion.velocity)
+
+    def pace(self, values: Mapping[str, float]) -> float:
+        """Fastest rate [1/s] of the two bodies."""
+        return pace_of(self.key, values)
