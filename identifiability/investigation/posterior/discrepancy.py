@@ -228,7 +228,7 @@ class _Beside:
             if gain < _WORTH:
                 break
             raw = self._freed(here, inner, sizes, [columns @ mean for columns in self._all])
-            weights = evaluator.reference.weights(raw, tried)
+            weights = evaluator.reference.weights(raw, tried, like=found.weights)
             tried = weights.contenders[:1]
             here = evaluator.evaluated(found.problem, found.x, weights, found.refined)
         assert best is not None

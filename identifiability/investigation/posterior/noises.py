@@ -323,7 +323,9 @@ class Reference:
         whole = replace(problem, observations=[*band.observations, *probes])
         return cls(band, joint, probed, probes, whole)
 
-    def weights(self, raw: Sequence[np.ndarray], tried: Sequence[Contender]) -> Weights:
+    def weights(
+        self, raw: Sequence[np.ndarray], tried: Sequence[Contender], like: Weights | None = None
+    ) -> Weights:
         """Estimate the noise of a residual.
 
         Parameters
@@ -332,11 +334,17 @@ class Reference:
             By stretch, the residual, then derivatives that the fit took out of it.
         tried : sequence of Contender
             See `estimate_noise`.
+        like : Weights, optional
+            Noise of the same record, of which it is known how well the carried part's size is.
         """
+        with_error = self.band.angle_imposed and like is None
         if self.between:
-            weights = self._beside_between(raw, tried)
+            weights = self._beside_between(raw, tried, with_error)
         else:
-            weights = self._estimated(raw, [columns[:, 0] for columns in raw], tried)
+            weights = self._estimated(raw, [columns[:, 0] for columns in raw], tried, with_error)
+        if like is not None:
+            known = replace(weights.estimate, carried_error=like.estimate.carried_error)
+            weights = replace(weights, estimate=known)
         estimate = weights.estimate
         if self.probe_problem is None:
             return weights
@@ -356,7 +364,11 @@ class Reference:
         return replace(weights, band=self.band, excess=excess, between=self.between)
 
     def _estimated(
-        self, raw: Sequence[np.ndarray], residuals: Sequence[np.ndarray], tried: Sequence[Contender]
+        self,
+        raw: Sequence[np.ndarray],
+        residuals: Sequence[np.ndarray],
+        tried: Sequence[Contender],
+        with_error: bool = False,
     ) -> Weights:
         """Noise of residuals of a model with these derivatives."""
         stretches = [
@@ -368,11 +380,13 @@ class Reference:
             self.carried,
             tried,
             self.band.angle_noise,
-            with_error=self.band.angle_imposed,
+            with_error=with_error,
         )
         return Weights(self.band, estimate, best)
 
-    def _beside_between(self, raw: Sequence[np.ndarray], tried: Sequence[Contender]) -> Weights:
+    def _beside_between(
+        self, raw: Sequence[np.ndarray], tried: Sequence[Contender], with_error: bool
+    ) -> Weights:
         """Noise of a residual beside what is not known between the samples.
 
         Of this the expected share is taken out of the residual, at first as if the noise were
@@ -386,7 +400,7 @@ class Reference:
         short = np.sqrt(sum(s.size for s in shares) / sum(float(s.sum()) for s in shares))
         first = self._estimated(raw, left, tried)
         first = replace(first, estimate=first.estimate.louder(short), between=self.between)
-        weights = self._estimated(raw, first.freed(raw), first.contenders[:1])
+        weights = self._estimated(raw, first.freed(raw), first.contenders[:1], with_error)
         return replace(weights, estimate=weights.estimate.louder(short), between=self.between)
 
     @cached_property
