@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from identifiability.errors import InputError
 from identifiability.investigation.posterior.evidence import Evaluated, Evaluator
 from identifiability.investigation.rules import Rules
 from identifiability.investigation.smallest_seen.hidden import Hidden, Known
@@ -80,7 +79,8 @@ def detectable(
     or more, and at a third of it in one or less: that is the square root of three times the size at
     which it is in half of ``rules.noise_draws``, if draws differ by no more than 1.7 times.
 
-    Effects that stay invisible at any size are left out.
+    Effects that stay invisible at any size are left out, and those that have no one size: play with
+    as stiff a link as there can be would still be a link.
 
     Parameters
     ----------
@@ -97,13 +97,11 @@ def detectable(
     known = Known.of(evaluator, without, library, rules, seed)
     searches = []
     for key, kind in library.items():
-        if key in without.model.effect_keys:
+        if not without.model.takes(kind):
             continue
-        try:
-            model = without.model + kind()
-        except InputError:  # it does not go with an effect that is there
-            continue
-        searches.append(_Search(Hidden(known, model, key), rules.noise_draws))
+        hidden = Hidden(known, without.model + kind(), key)
+        if hidden.has_one_size:
+            searches.append(_Search(hidden, rules.noise_draws))
     found: list[Detectable] = []
     with ThreadPoolExecutor(THREADS) as pool:
         for i, one in enumerate(pool.map(_Search.smallest, searches)):

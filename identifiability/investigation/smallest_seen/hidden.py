@@ -123,6 +123,12 @@ class Hidden:
         """What measures its size."""
         return self.model.parameters[self.sizes[0]]
 
+    @property
+    def has_one_size(self) -> bool:
+        """Whether the others vanish by themselves where its size is found."""
+        nulls = [self.model.parameters[name].null for name in self.sizes]
+        return len(nulls) == 1 or all(n is not None and np.isfinite(n) for n in nulls)
+
     def values(self, strength: float) -> dict[str, float]:
         """All parameters with the effect at a strength: its size, or the inverse of a stiffness."""
         known = dict(self._without.values)

@@ -27,7 +27,7 @@ class CubicStiffness(Effect):
     title = "a stiffness that grows with the angle (cubic)"
     place = "joint"
     linear = False
-    confused_with = ("short_range_stiffness", "gravity")
+    confused_with = ("short_range_stiffness", "gravity", "end_stop")
     parameters = (
         Parameter(
             "coefficient",

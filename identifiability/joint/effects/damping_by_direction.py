@@ -48,9 +48,7 @@ class DampingByDirection(Effect):
             ends_form=True,
         ),
     )
-    references = (
-        "Dixon 2007, The Shock Absorber Handbook, ch. 7 (bump and rebound of unequal damping)",
-    )
+    references = ("Dixon 2007, The Shock Absorber Handbook (bump and rebound of unequal damping)",)
 
     def torque(
         self, p: Sequence[Array], motion: Motion, states: Array, delayed: Motion

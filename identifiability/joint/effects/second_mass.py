@@ -30,7 +30,7 @@ class SecondMass(Effect):
     place = "joint"
     linear = True
     n_states = 2
-    confused_with = ("activation_lag", "maxwell_branch", "sensor_lowpass")
+    confused_with = ("activation_lag", "maxwell_branch", "sensor_lowpass", "soft_coupling")
     parameters = (
         Parameter(
             "inertia",
