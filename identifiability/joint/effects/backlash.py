@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
 from identifiability.joint.effects.base import Effect, Motion
-from identifiability.joint.effects.soft_coupling import LINK, pace_of
+from identifiability.joint.effects.soft_coupling import LINK
 from identifiability.joint.parameters import Parameter
+
+_TINY = 1e-6  # rad: keeps the slope finite where there is no gap
 
 
 class Backlash(Effect):
@@ -18,11 +22,12 @@ class Backlash(Effect):
 
     .. math::
         T = k\,(\sigma(s) + \tau\, \sigma'(s)\, \dot s), \qquad
-        \sigma(s) = s + \frac{1}{2}\left[\sqrt{(s - g)^2 + r^2} - \sqrt{(s + g)^2 + r^2}\right]
+        \sigma(s) = s + \frac{1}{2}\left[\sqrt{(s - g)^2 + r^2} - \sqrt{(s + g)^2 + r^2}\right],
+        \qquad r = \rho g
 
     with the bodies of a soft coupling, which it is without its gap g to either side. Contact comes
-    over r, 1 mrad in the plain form. Play vanishes with the gap, and with it the link as its
-    stiffness goes to infinity.
+    over a part of the gap, a tenth in the plain form. Play vanishes with the gap, and with it the
+    link as its stiffness goes to infinity.
     """
 
     key = "backlash"
@@ -32,7 +37,9 @@ class Backlash(Effect):
     confused_with = ("second_mass", "soft_coupling", "coulomb_friction")
     refines = ("soft_coupling",)
     parameters = (
-        *LINK,
+        *LINK[:2],
+        # Lighter bodies bounce faster than steps of a sample follow.
+        replace(LINK[2], lower=0.05),
         Parameter(
             "gap",
             "g",
@@ -45,13 +52,13 @@ class Backlash(Effect):
         ),
         Parameter(
             "rounding",
-            "r",
-            "rad",
-            nominal=0.001,
-            lower=0.0002,
-            upper=0.02,
-            plain=0.001,
-            description="stretch over which the contact comes",
+            r"\rho",
+            "1",
+            nominal=0.1,
+            lower=0.02,
+            upper=1.0,
+            plain=0.1,
+            description="stretch over which the contact comes, over the gap",
             ends_form=True,
         ),
     )
@@ -68,13 +75,15 @@ class Backlash(Effect):
     ) -> ArrayLike:
         """Torque [Nm] of the link at a stretch of ``motion.angle`` rad."""
         stiffness, time, _, gap, rounding = p
-        stretch = jnp.asarray(motion.angle)
-        ahead = jnp.sqrt((stretch - gap) ** 2 + rounding**2)
-        behind = jnp.sqrt((stretch + gap) ** 2 + rounding**2)
+        stretch, corner = jnp.asarray(motion.angle), (rounding * gap) ** 2 + _TINY**2
+        ahead = jnp.sqrt((stretch - gap) ** 2 + corner)
+        behind = jnp.sqrt((stretch + gap) ** 2 + corner)
         pressed = stretch + 0.5 * (ahead - behind)
         touch = 1 + 0.5 * ((stretch - gap) / ahead - (stretch + gap) / behind)
         return stiffness * (pressed + time * touch * motion.velocity)
 
     def pace(self, values: Mapping[str, float]) -> float:
         """Fastest rate [1/s] of the two bodies in contact."""
-        return pace_of(self.key, values)
+        stiffness, time, share = (values[f"{self.key}.{p.name}"] for p in LINK)
+        omega = math.sqrt(stiffness / (values["I"] * share * (1 - share)))
+        return omega * (1 + time * omega)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 from jax import Array
 from jax.typing import ArrayLike
@@ -39,16 +38,10 @@ LINK = (
         lower=0.01,
         upper=0.95,
         description="part of the inertia I that is before the link: of handle, footplate or motor",
+        ends_form=True,
     ),
 )
 """Parameters of a link, and of what is before it."""
-
-
-def pace_of(key: str, values: Mapping[str, float]) -> float:
-    """Fastest rate [1/s] of two bodies with a link between them."""
-    stiffness, time, share = (values[f"{key}.{p.name}"] for p in LINK)
-    omega = math.sqrt(stiffness / (values["I"] * share * (1 - share)))
-    return omega * (1 + time * omega)
 
 
 class SoftCoupling(Effect):
@@ -81,7 +74,3 @@ class SoftCoupling(Effect):
     ) -> ArrayLike:
         """Torque [Nm] of the link at a stretch of ``motion.angle`` rad."""
         return p[0] * (motion.angle + p[1] * motion.velocity)
-
-    def pace(self, values: Mapping[str, float]) -> float:
-        """Fastest rate [1/s] of the two bodies."""
-        return pace_of(self.key, values)
