@@ -77,6 +77,17 @@ def approach(gap):
     return gap / (0.02 if gap > 0 else 2.5 * 0.02)
 
 
+def halfway(x, width):
+    return 0.5 * (1 + x / np.hypot(x, width))
+
+
+def stopped(q):
+    """Rounded springs of 140 and 60 Nm/rad from 13 mrad on and from -7 mrad down."""
+    above, below = q - 0.003 - 0.01, -(q - 0.003) - 0.01
+    ends = ((x + np.sqrt(x * x + 0.004**2)) / 2 for x in (above, below))
+    return 140 * next(ends) - 60 * next(ends)
+
+
 # Every effect in the joint without delay: its parameters, its number of states, its torque and the
 # rates of its states as functions of angle, velocity and states.
 OMEGA = 2 * np.pi * 12.0
@@ -101,6 +112,24 @@ EQUATIONS = {
         {"coefficient": 3000.0, "centre": -0.02},
         0,
         lambda q, v, z: 3000 * ((q + 0.02) ** 3 - 0.02**3 - 3 * 0.02**2 * q),
+        lambda q, v, z: [],
+    ),
+    "damping_by_angle": (
+        {"difference": 1.5, "width": 0.02, "middle": 0.01},
+        0,
+        lambda q, v, z: 1.5 * (halfway(q - 0.01, 0.02) - halfway(-0.01, 0.02)) * v,
+        lambda q, v, z: [],
+    ),
+    "damping_by_direction": (
+        {"difference": -1.0, "velocity": 0.3},
+        0,
+        lambda q, v, z: -1.0 * (np.hypot(v, 0.3) - 0.3),
+        lambda q, v, z: [],
+    ),
+    "end_stop": (
+        {"stiffness": 200.0, "angle": 0.01, "side": 0.4, "rounding": 0.004, "middle": 0.003},
+        0,
+        lambda q, v, z: stopped(q) - stopped(0.0) - q * np.imag(stopped(1e-30j)) / 1e-30,
         lambda q, v, z: [],
     ),
     "gravity": (
@@ -478,6 +507,67 @@ def test_short_range_stiffness_with_a_tendon_sees_the_muscles_motion():
     expected = by_ode(rates, np.zeros(4), TIME)[0]
     values = np.array([K, B, I, 120.0, 0.0, 0.0, 100.0, 0.03, 1.0, 20.0])
     agree(simulate(model, values, SINUSOID), expected, 1e-6)
+
+
+# Between what is driven and the limb
+
+
+def test_a_soft_coupling_is_a_link_between_two_bodies():
+    """Angle of the first: (limb + link) / (limb first + limb link + link first)."""
+    k, tau, share = 400.0, 3e-3, 0.3
+    limb, link = np.array([(1 - share) * I, B, K]), np.array([k * tau, k])
+    first = np.array([share * I, 0.0, 0.0])
+    both = np.polyadd(np.polymul(limb, first), np.polymul(link, np.polyadd(limb, first)))
+    expected = impulse_by_residues(scipy.signal.lti(np.polyadd(limb, link), both), TIME)
+    own = {"stiffness": k, "time": tau, "share": share}
+    agree(response("soft_coupling", Impulse(1.0).drive(TIME), **own), expected, 1e-9)
+
+
+def test_with_play_the_limb_is_left_alone_within_the_gap():
+    k, tau, share, gap, corner = 600.0, 3e-3, 0.3, 0.004, 0.3 * 0.004
+
+    def pressed(s):
+        return s + (np.hypot(s - gap, corner) - np.hypot(s + gap, corner)) / 2
+
+    def carried(s, rate):
+        touch = (pressed(s + 1e-6) - pressed(s - 1e-6)) / 2e-6
+        return k * (pressed(s) + tau * touch * rate)
+
+    def rates(t, state):
+        q, v, x, w = state
+        torque = carried(q - x, v - w)
+        before, behind = share * I, (1 - share) * I
+        return [v, (applied(t) - torque) / before, w, (torque - K * x - B * w) / behind]
+
+    expected = by_ode(rates, np.zeros(4), TIME)[0]
+    own = {"stiffness": k, "time": tau, "share": share, "gap": gap, "rounding": 0.3}
+    agree(response("backlash", SINUSOID, **own), expected, 1e-5)
+    assert pressed(gap / 2) < 0.1 * gap
+    assert pressed(10 * gap) == pytest.approx(9 * gap, rel=0.01)
+
+
+@pytest.mark.parametrize("coupling", ["soft_coupling", "backlash"])
+def test_behind_a_coupling_the_limb_has_its_effects(coupling):
+    """Under an imposed angle the torque is that of the driven body and of the link."""
+    model = joint(coupling, "gravity")
+    k, tau, share = 400.0, 3e-3, 0.3
+    link = {"stiffness": k, "time": tau, "share": share} | (
+        {"gap": 0.0} if coupling == "backlash" else {}
+    )
+    values = values_of(model, moment=40.0, posture=0.5, **link)
+    angle, velocity = THERE_AND_BACK, THERE_AND_BACK.deriv()
+
+    def carried(t, x, w):
+        return k * (angle(t) - x + tau * (velocity(t) - w))
+
+    def rates(t, state):
+        x, w = state
+        weight = 40 * (np.sin(0.5 + x) - np.sin(0.5))
+        return [w, (carried(t, x, w) - K * x - B * w - weight) / ((1 - share) * I)]
+
+    limb = by_ode(rates, np.zeros(2), TIME)
+    expected = carried(TIME, *limb) + share * I * angle.deriv(2)(TIME)
+    agree(simulate(model, values, imposed_motion(TIME, angle(TIME))), expected, 1e-5)
 
 
 # Sensors
