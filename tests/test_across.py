@@ -158,7 +158,7 @@ def folders_of(folder):
 def test_a_record_is_taken_as_what_it_misses_says_its_torque_ran(tmp_path, monkeypatch):
     """As one record is by an investigation of its own."""
     asked, taken = [], {}
-    monkeypatch.setattr(Investigation, "weigh", lambda self, *, seed=1: None)
+    monkeypatch.setattr(Investigation, "weigh", lambda self, **how: None)
 
     def otherwise(self, posterior, *, seed=1):
         asked.append(self)

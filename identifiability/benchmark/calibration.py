@@ -133,10 +133,8 @@ def score(spec: BlindSpec) -> BlindScore:
     """Build one case, weigh what may be missing and compare that with the truth."""
     case = spec.build()
     began = time.perf_counter()
-    study = Investigation(case.fit, case.held_out)
+    study = Investigation(case.fit, case.held_out).likeliest(seed=spec.seed)
     found: Probabilities = study.weigh(seed=spec.seed)
-    if (other := study.otherwise(found, seed=spec.seed)) is not None:
-        study, found = other, other.weigh(seed=spec.seed)
     claim = study.claim(found)
     truth = None if case.kind == "unknown" else case.truth
     return BlindScore(

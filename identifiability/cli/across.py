@@ -88,10 +88,7 @@ def run(options: argparse.Namespace) -> int:
         }
         if keys is None:
             # What a record misses may say otherwise how its torque ran between the samples.
-            records = {
-                name: study.otherwise(study.weigh(seed=options.seed), seed=options.seed) or study
-                for name, study in records.items()
-            }
+            records = {name: study.likeliest(seed=options.seed) for name, study in records.items()}
             weighed = weigh_across(records, seed=options.seed, progress=progress)
             keys = weighed[0].effects
         model = KBI().plus(EFFECTS[key]() for key in keys)

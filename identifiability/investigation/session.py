@@ -295,6 +295,16 @@ class Investigation:
         other.remarks = (*other.remarks, _OTHERWISE.format(other.torque_between))
         return other
 
+    def likeliest(self, *, most: int | None = None, seed: int = 1) -> Investigation:
+        """The trials with their torque between its samples as it is likelier by what they miss.
+
+        Parameters
+        ----------
+        most, seed
+            See `weigh`, which then knows its answer, unless the other form is to be weighed.
+        """
+        return self.otherwise(self.weigh(most=most, seed=seed), seed=seed) or self
+
     def _evaluations(self, evaluator: Evaluator, seed: int, part: str) -> Evaluations:
         """What evaluates models, and keeps them where every fit is kept."""
         folder = self.bench.kept.folder if isinstance(self.bench.kept, OnDisk) else None

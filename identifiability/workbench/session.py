@@ -14,6 +14,7 @@ from typing import Any, Self
 from threadpoolctl import threadpool_limits
 
 from identifiability.errors import InputError
+from identifiability.inference.between import Between
 from identifiability.investigation.fits.candidate import unfitted
 from identifiability.investigation.fits.kept import OnDisk
 from identifiability.investigation.posterior.jobs import enlarged, richer
@@ -65,6 +66,7 @@ class Session:
     bounds : mapping of str to (float, float)
         Other bounds than the physical ones, by parameter name.
     lowpass_hz : float, "auto" or None
+    torque_between : {"auto", "straight", "smooth"}
         See `Investigation`.
     rules : Rules, optional
         Conventions.
@@ -101,6 +103,7 @@ class Session:
         library: Mapping[str, type[Effect]] | None = None,
         bounds: Mapping[str, tuple[float, float]] | None = None,
         lowpass_hz: Lowpass = "auto",
+        torque_between: Between = "auto",
         rules: Rules | None = None,
         seed: int = 1,
         folder: Path | str | None = None,
@@ -122,6 +125,7 @@ class Session:
             library=library,
             bounds=bounds,
             lowpass_hz=lowpass_hz,
+            torque_between=torque_between,
             rules=rules,
             kept=OnDisk(self._fits),
             progress=progress,
@@ -132,6 +136,7 @@ class Session:
             "model": list((KBI() if model is None else model).effect_keys),
             "bounds": {name: list(pair) for name, pair in (bounds or {}).items()},
             "lowpass_hz": lowpass_hz,
+            "torque_between": torque_between,
             "rules": asdict(self.study.bench.rules),
             "seed": seed,
         }
@@ -348,8 +353,11 @@ class Session:
             return self._weighing.concluded()
 
     def search(self) -> Probabilities:
-        """Probabilities as `investigate` finds them: it decides by itself what to try."""
-        return self.study.weigh(seed=self.seed)
+        """Probabilities as `investigate` finds them: it decides by itself what to try.
+
+        And how an imposed torque ran between its samples; a session keeps to its `torque_between`.
+        """
+        return self.study.likeliest(seed=self.seed).weigh(seed=self.seed)
 
     # Keep
 
@@ -452,16 +460,22 @@ class Session:
         return self._weighing.failures.get("+".join(name), "it has no fit")
 
     def _addable(self, keys: Keys) -> Keys:
-        """Effects that a model has not."""
-        has = {*self.study.baseline.keys, *keys}
-        return tuple(key for key in self.study.library if key not in has)
+        """Effects that a model takes."""
+        model = self._with(keys)
+        return tuple(key for key, effect in self.study.library.items() if model.takes(effect))
+
+    def _with(self, keys: Keys) -> Model:
+        return self.study.model.plus(self.study.library[key]() for key in keys)
 
     def _require_addable(self, keys: Keys, key: str) -> None:
         if key not in self.study.library:
             known = ", ".join(self.study.library)
             raise InputError(f"{key!r} is no effect of the library: the effects are {known}")
-        if key not in self._addable(keys):
+        model, effect = self._with(keys), self.study.library[key]
+        if key in model.effect_keys:
             raise InputError(f"{key} is part of the model already")
+        if not model.takes(effect):
+            raise InputError(f"{key} cannot be added: a joint has one coupling before it")
 
     def _weigh(self, jobs: Sequence[Job]) -> None:
         with threadpool_limits(limits=1):
