@@ -10,14 +10,14 @@ import jax.numpy as jnp
 from jax import Array
 from jax.typing import ArrayLike
 
-from identifiability.joint.effects.base import Effect, Motion
-from identifiability.joint.effects.soft_coupling import LINK
+from identifiability.joint.effects.base import Motion
+from identifiability.joint.effects.soft_coupling import LINK, SoftCoupling
 from identifiability.joint.parameters import Parameter
 
 _TINY = 1e-6  # rad: keeps the slope finite where there is no gap
 
 
-class Backlash(Effect):
+class Backlash(SoftCoupling):
     r"""Play of handle, cuff or gear: a link with a gap.
 
     .. math::
@@ -32,7 +32,6 @@ class Backlash(Effect):
 
     key = "backlash"
     title = "play (backlash) before the limb"
-    place = "coupling"
     linear = False
     confused_with = ("second_mass", "soft_coupling", "coulomb_friction")
     refines = ("soft_coupling",)
@@ -65,10 +64,6 @@ class Backlash(Effect):
     references = (
         "Nordin & Gutman 2002, Automatica 38: 1633-1649 (mechanical systems with backlash)",
     )
-
-    def before(self, p: Sequence[Array]) -> ArrayLike:
-        """Share of the inertia that is driven and measured."""
-        return p[2]
 
     def torque(
         self, p: Sequence[Array], motion: Motion, states: Array, delayed: Motion

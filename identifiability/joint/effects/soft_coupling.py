@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import ClassVar
 
 from jax import Array
 from jax.typing import ArrayLike
@@ -43,6 +44,8 @@ LINK = (
 )
 """Parameters of a link, and of what is before it."""
 
+_STIFFER, _SPREAD = 10.0, 0.8
+
 
 class SoftCoupling(Effect):
     r"""Compliance of cuff, fixture or soft tissue before the limb.
@@ -59,8 +62,14 @@ class SoftCoupling(Effect):
     title = "a compliant cuff or fixture before the limb"
     place = "coupling"
     linear = True
-    confused_with = ("second_mass", "series_tendon", "maxwell_branch", "backlash")
-    parameters = LINK
+    confused_with: ClassVar[tuple[str, ...]] = (
+        "second_mass",
+        "series_tendon",
+        "maxwell_branch",
+        "stretch_reflex",
+        "backlash",
+    )
+    parameters: ClassVar[tuple[Parameter, ...]] = LINK
     references = (
         "Spong 1987, J Dyn Syst Meas Control 109: 310-318 (two inertias and the spring between)",
     )
@@ -74,3 +83,17 @@ class SoftCoupling(Effect):
     ) -> ArrayLike:
         """Torque [Nm] of the link at a stretch of ``motion.angle`` rad."""
         return p[0] * (motion.angle + p[1] * motion.velocity)
+
+    def typical(self, values: Mapping[str, float]) -> Mapping[str, tuple[float, float]]:
+        """Stiffness of a link that is there to move the limb.
+
+        Nineteen in twenty are twice to fifty times as stiff as the joint behind. Two bodies of any
+        stiffness are what a muscle with its tendon and its reflex look like.
+        """
+        return {f"{self.key}.stiffness": (_STIFFER * max(values["K"], 1e-9), _SPREAD)}
+
+    def objection(self, values: Mapping[str, float]) -> str:
+        """Whether the link would be softer than the joint behind it."""
+        if values[f"{self.key}.stiffness"] >= values["K"]:
+            return ""
+        return "the link would be softer than the joint behind it, as no cuff or fixture is"
