@@ -75,7 +75,10 @@ class HiddenCase:
 
     @property
     def joint(self) -> dict[str, float]:
-        """Its K, B and I in SI units, what is hidden not counted; of a measured joint."""
+        """Its K, B and I in SI units, what is hidden not counted; of a measured joint.
+
+        Before a coupling there is some of the inertia, which is found as a share of all.
+        """
         size = float(self.parameters["size"])
 
         def of(*names: str) -> float:
@@ -84,7 +87,7 @@ class HiddenCase:
         return {
             "K": of("passive_stiffness", "muscle_stiffness"),
             "B": of("passive_damping", "muscle_damping"),
-            "I": of("inertia"),
+            "I": of("inertia", *(n for n in self.parameters if n.endswith(".handle_inertia"))),
         }
 
 
