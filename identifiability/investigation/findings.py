@@ -41,7 +41,7 @@ class Findings:
     failures : mapping of str to str
         Parts that could not be done, and why: these are ``None`` above.
     remarks : tuple of str
-        What the trials did not allow.
+        What the trials did not allow, or said of how they were recorded.
     seed : int
     posterior : Probabilities or None
         Probabilities of the sets of effects that were weighed.
@@ -67,5 +67,5 @@ class Findings:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        """All that a reader must be told: what the trials did not allow, and failed parts."""
+        """All that a reader must be told: the remarks, then the parts that failed."""
         return (*self.remarks, *(f"{part}: {why}" for part, why in sorted(self.failures.items())))

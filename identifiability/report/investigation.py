@@ -149,9 +149,12 @@ def _verdict(page: Page, figures: Figures, findings: Findings) -> None:
     if reasons := words.because(findings)[1:]:
         page.heading("Why")
         page.items(reasons)
-    if findings.warnings:
+    if findings.remarks:
+        page.heading("Notes on the trials")
+        page.items(list(findings.remarks))
+    if failed := findings.warnings[len(findings.remarks) :]:
         page.heading("What could not be done")
-        page.items(list(findings.warnings))
+        page.items(list(failed))
 
 
 def _trials(n: int) -> str:

@@ -13,6 +13,7 @@ NATS = "With 3 nats more something is 20 times as probable, with 7 a thousand ti
 _NOTHING = 1e-6  # share of its usual value that is no value
 _NARROW = 1e-3  # share of a value from which a width is given in per cent
 _FEW = 1000.0  # times, until which a ratio is written out
+_WITH_MILLI, _SMALL = ("s", "rad"), 0.1  # units that are read in thousandths, and below what value
 _DIVERGED = 1e3  # E of a prediction that has nothing to do with the trial any more
 
 
@@ -39,6 +40,8 @@ def measured(
     """
     said = parameter.unit if unit else "1"
     nothing = abs(value) < _NOTHING * abs(parameter.nominal)
+    if said in _WITH_MILLI and not nothing and max(abs(value), sd or 0.0) < _SMALL:
+        value, sd, said = 1e3 * value, None if sd is None else 1e3 * sd, f"m{said}"
     if at_bound:
         return f"{with_unit('0' if nothing else number(value), said)} (at its bound)"
     if sd is None or not 0 < sd < float("inf"):
