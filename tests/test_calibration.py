@@ -64,6 +64,8 @@ def test_what_is_written_quotes_the_record(record, page):
         mine = [s for s in scores if s["tier"] == tier]
         count = sum(s["outcome"] == "right" for s in mine)
         assert f"{count} of {len(mine)} {tier}" in text
+    (likely,) = (one for one in record["reliability"] if one["from"] == 0.8)
+    assert f"80 to 95 %, {likely['true']} of {likely['n']} were the truth" in text
 
 
 @pytest.mark.parametrize(
