@@ -32,8 +32,12 @@ ALLOWED = 0.1 * min(NOISES)
 JOINT = {"K": 30.0, "B": 0.8, "I": 0.1}
 FAST: dict[str, dict[str, float]] = {
     "activation_lag": {"gain": 50.0, "time_constant": 0.005, "off_ratio": 3.0},
+    "backlash": {"stiffness": 2000.0, "gap": 0.003, "share": 0.1},
     "coulomb_friction": {"torque": 0.3, "velocity": 0.002},
     "cubic_stiffness": {"coefficient": 2000.0},
+    "damping_by_angle": {"difference": 1.5, "width": 0.002},
+    "damping_by_direction": {"difference": 0.7, "velocity": 0.002},
+    "end_stop": {"stiffness": 300.0, "angle": 0.02, "side": 1.0, "rounding": 0.0005},
     "gravity": {"moment": 30.0},
     "hill_force_velocity": {"strength": 20.0, "max_velocity": 5.0, "asymmetry": 0.5},
     "nonlinear_tendon": {"stiffness": 500.0, "hardening": 40.0, "asymmetry": 0.5},
