@@ -37,7 +37,8 @@ LINK = (
         "1",
         nominal=0.2,
         lower=0.01,
-        upper=0.95,
+        # With all inertia before it, it would be a tendon.
+        upper=0.6,
         description="part of the inertia I that is before the link: of handle, footplate or motor",
         ends_form=True,
     ),
