@@ -23,7 +23,7 @@ from identifiability.benchmark.cases import (
     HiddenCase,
     Kind,
 )
-from identifiability.benchmark.effects import EFFECTS, Coupling
+from identifiability.benchmark.effects import EFFECTS
 from identifiability.benchmark.joints import RTOL, Joint, draw_joint
 from identifiability.benchmark.motion import Motion, reaction
 from identifiability.benchmark.noisy_recordings import KINDS as NOISES
@@ -139,10 +139,7 @@ class BlindSpec:
         raise ArithmeticError(f"{self.name}: no joint with {self.keys} stays within reach")
 
     def _matters(self, joint: Joint, clean: Sequence[tuple[np.ndarray, ...]], key: str) -> bool:
-        # With the handle goes what is behind it.
-        coupled = isinstance(joint.effects[joint.keys.index(key)], Coupling)
-        rest = Joint(joint.anatomy) if coupled else joint.without(key)
-        return missed(rest, clean, self.imposed) > MATTERS * self.ratio
+        return missed(joint.without(key), clean, self.imposed) > MATTERS * self.ratio
 
     def _recorded(
         self,

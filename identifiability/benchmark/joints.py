@@ -78,6 +78,12 @@ class Joint:
         return tuple(effect.key for effect in self.effects)
 
     @property
+    def driven(self) -> Anatomy:
+        """What is driven and measured, before its effects: the joint, or a coupling's handle."""
+        coupling = find(Coupling, self.effects)  # type: ignore[type-abstract]
+        return self.anatomy if coupling is None else coupling.handle()
+
+    @property
     def parameters(self) -> dict[str, float | str]:
         """Every value by name, those of an effect as ``key.name``."""
         values: dict[str, float | str] = dict(dataclasses.asdict(self.anatomy))
@@ -218,9 +224,7 @@ class _Run:
     """
 
     def __init__(self, joint: Joint, torque: np.ndarray, interval: float, rtol: float) -> None:
-        effects = joint.effects
-        coupling = find(Coupling, effects)  # type: ignore[type-abstract]
-        anatomy = joint.anatomy if coupling is None else coupling.handle()
+        effects, anatomy = joint.effects, joint.driven
         tendon = find(Tendon, effects)  # type: ignore[type-abstract]
         muscle = Muscle(anatomy, tendon, find(HillForceVelocity, effects))
         self._inertia = anatomy.inertia

@@ -11,7 +11,6 @@ from scipy.integrate import solve_ivp
 
 from identifiability.benchmark.effects import (
     CoulombFriction,
-    Coupling,
     HillForceVelocity,
     SensorDelay,
     SensorDrift,
@@ -87,9 +86,7 @@ def reaction(joint: Joint, motion: Motion, time: np.ndarray) -> np.ndarray:
 
 
 def _reaction(joint: Joint, motion: Motion, time: np.ndarray) -> np.ndarray:
-    effects = joint.effects
-    coupling = find(Coupling, effects)  # type: ignore[type-abstract]
-    anatomy = joint.anatomy if coupling is None else coupling.handle()
+    effects, anatomy = joint.effects, joint.driven
     muscle = Muscle(
         anatomy,
         find(Tendon, effects),  # type: ignore[type-abstract]

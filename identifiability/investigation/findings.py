@@ -68,4 +68,9 @@ class Findings:
     @property
     def warnings(self) -> tuple[str, ...]:
         """All that a reader must be told: the remarks, then the parts that failed."""
-        return (*self.remarks, *(f"{part}: {why}" for part, why in sorted(self.failures.items())))
+        return (*self.remarks, *self.failed)
+
+    @property
+    def failed(self) -> tuple[str, ...]:
+        """Parts that could not be done, and why."""
+        return tuple(f"{part}: {why}" for part, why in sorted(self.failures.items()))

@@ -152,9 +152,9 @@ def _verdict(page: Page, figures: Figures, findings: Findings) -> None:
     if findings.remarks:
         page.heading("Notes on the trials")
         page.items(list(findings.remarks))
-    if failed := findings.warnings[len(findings.remarks) :]:
+    if findings.failed:
         page.heading("What could not be done")
-        page.items(list(failed))
+        page.items(list(findings.failed))
 
 
 def _trials(n: int) -> str:

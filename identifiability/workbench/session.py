@@ -460,22 +460,16 @@ class Session:
         return self._weighing.failures.get("+".join(name), "it has no fit")
 
     def _addable(self, keys: Keys) -> Keys:
-        """Effects that a model takes."""
-        model = self._with(keys)
-        return tuple(key for key, effect in self.study.library.items() if model.takes(effect))
-
-    def _with(self, keys: Keys) -> Model:
-        return self.study.model.plus(self.study.library[key]() for key in keys)
+        """Effects that a model has not."""
+        has = {*self.study.baseline.keys, *keys}
+        return tuple(key for key in self.study.library if key not in has)
 
     def _require_addable(self, keys: Keys, key: str) -> None:
         if key not in self.study.library:
             known = ", ".join(self.study.library)
             raise InputError(f"{key!r} is no effect of the library: the effects are {known}")
-        model, effect = self._with(keys), self.study.library[key]
-        if key in model.effect_keys:
+        if key not in self._addable(keys):
             raise InputError(f"{key} is part of the model already")
-        if not model.takes(effect):
-            raise InputError(f"{key} cannot be added: a joint has one coupling before it")
 
     def _weigh(self, jobs: Sequence[Job]) -> None:
         with threadpool_limits(limits=1):
