@@ -709,6 +709,8 @@ def test_it_shares_no_equations_with_what_it_judges():
         "seeds",
         "responses",
         "speed",
+        "peers",
+        "durations",
         "real",
     ]
     for path in {*folder.glob("*.py")} - {folder / f"{name}.py" for name in judging}:

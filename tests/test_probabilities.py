@@ -1000,18 +1000,30 @@ def test_what_is_there_whatever_else_is_stands_beside_something_unknown():
 
 
 def test_what_is_likely_beside_what_is_claimed_is_a_clue():
-    """What is more likely there than not is in the model that is shown, and claimed nowhere."""
+    """What is likely there is in the model that is shown, and claimed nowhere."""
     likely, unlikely = (
         probabilities((("gravity", "coulomb_friction"), p), (("gravity",), 1 - p))
-        for p in (0.8, 0.45)
+        for p in (0.8, 0.3)
     )
     claim = claim_of(likely, EFFECTS, 0.95)
     assert claim.sets == (("gravity",),)
     assert claim.effects == ("gravity", "coulomb_friction")
     assert claim_of(unlikely, EFFECTS, 0.95).effects == ("gravity",)
-    # Of what may be one of two, neither is likely.
-    rows = [(("gravity", key), 0.5) for key in ("coulomb_friction", "second_mass")]
-    assert claim_of(probabilities(*rows), EFFECTS, 0.95).effects[0] == "gravity"
+    assert (claim.instead, claim_of(unlikely, EFFECTS, 0.95).instead) == ((), ())
+
+
+def test_of_several_that_may_be_a_clue_the_most_probable_is_shown():
+    """That one of them is there is likely, and of none it is: the others may be in its place."""
+    beside = {"second_mass": 0.35, "coulomb_friction": 0.25, "cubic_stiffness": 0.02}
+    rows = [(("gravity",), 0.38), *((tuple(sorted(("gravity", k))), p) for k, p in beside.items())]
+    claim = claim_of(probabilities(*rows), EFFECTS, 0.95)
+    assert claim.sets == (("gravity",),)
+    assert claim.effects == ("gravity", "second_mass")
+    assert claim.instead == ("coulomb_friction",)
+    # Where it is likely that nothing more is there, none of them is shown.
+    few = [(("gravity",), 0.62), *((keys, p / 2) for keys, p in rows[1:])]
+    unlikely = claim_of(probabilities(*few), EFFECTS, 0.95)
+    assert (unlikely.effects, unlikely.instead) == (("gravity",), ())
 
 
 def test_effects_that_are_claimed_each_need_one_of_their_own():

@@ -8,6 +8,7 @@ from constructed import probabilities
 from hidden import JOINT, PAIR, study_of_a_pair
 
 from identifiability.errors import InputError
+from identifiability.inference.likelihood.processes import Process
 from identifiability.inference.starts import nested_values
 from identifiability.investigation.fits.candidate import unfitted
 from identifiability.investigation.ladder.climb import found_of
@@ -82,6 +83,84 @@ def test_each_effect_of_the_most_probable_set_is_left_out(driven):
     assert len(pairs) == 3
     assert max(weighing.found, key=weighing.score) == truth
     assert truth in search.enlarged
+
+
+@pytest.mark.parametrize("driven", ["torque", "angle"])
+def test_a_look_alike_stands_in_for_each_effect_of_the_most_probable_sets(driven):
+    """Both effects of a pair may be second best alone: one at a time never leads to it."""
+    keys = ("cubic_stiffness", "sensor_delay", "sensor_lowpass")
+    library = {key: EFFECTS[key] for key in keys}
+    study = study_of_a_pair(driven, keys)
+    weighing = Weighing(study._evaluator(1), library, study.baseline.keys, study.bench.rules)
+    search = _Search(weighing, library, silent)
+    cubic = KBI() + EFFECTS["cubic_stiffness"]()
+    both = cubic + EFFECTS["sensor_lowpass"]()
+    starts = [nested_values(model, PAIR) for model in (KBI(), cubic, both)]
+    starts[2]["sensor_lowpass.time_constant"] = 0.004
+    search.add("way", [Job(m, [v]) for m, v in zip((KBI(), cubic, both), starts, strict=True)])
+    truth = ("cubic_stiffness", "sensor_delay")
+    assert truth not in weighing.found
+    search.exchange(2)
+    assert max(weighing.found, key=weighing.score) == truth
+    # Neither the pair that it came from nor itself has anything left to be exchanged.
+    known = dict(weighing.found)
+    search.exchange(2)
+    assert weighing.found == known
+
+
+@pytest.mark.parametrize("driven", ["torque", "angle"])
+def test_a_model_is_fitted_in_the_noise_of_K_B_and_I_as_well(driven):
+    """What it is fitted in first is another model's, and may be such that nothing is missing."""
+    study = study_of_a_pair(driven, KEYS)
+    evaluator = study._evaluator(1)
+    model = KBI() + EFFECTS["cubic_stiffness"]()
+    problem, start = evaluator.band.problem(model), [nested_values(model, PAIR)]
+    own, white = evaluator.starts
+    assert own.contenders[0].order != white.contenders[0].order  # else nothing is tested
+    begun = evaluator._begun(problem, start, (), white, True)
+    assert [weights for _, weights in begun] == [white, white, own]
+    assert [weights for _, weights in evaluator._begun(problem, start, (), None, True)] == [
+        own,
+        white,
+    ]
+
+
+def test_a_richer_form_that_is_worse_in_the_end_is_none():
+    """What is taken up is weighed in its plain form too: the noise has changed since it lost."""
+    keys = ("coulomb_friction",)
+    study = study_of_a_pair("torque", keys)
+    weighing = Weighing(study._evaluator(1), keys)
+    model = KBI() + EFFECTS["coulomb_friction"]()
+    start = nested_values(model, JOINT) | {"coulomb_friction.torque": 0.1}
+    astray = start | {"coulomb_friction.breakaway": 0.9, "coulomb_friction.asymmetry": -0.6}
+    assert len(list(weighing.weigh([Job(KBI(), [nested_values(KBI(), JOINT)])]))) == 1
+    evaluated = study._evaluator(1).evaluate
+    plain = evaluated(model, [start])
+    weighing.found[keys] = evaluated(model, [astray], refined=keys)
+    assert weighing.found[keys].log_evidence < plain.log_evidence  # else nothing is tested
+    weighing.take_up([keys])
+    assert weighing.found[keys].refined == ()
+    assert weighing.found[keys].log_evidence > plain.log_evidence - 0.5
+
+
+@pytest.mark.parametrize(("driven", "shown"), [("torque", True), ("angle", False)])
+def test_play_that_only_hides_the_noise_of_an_imposed_angle_is_none(driven, shown):
+    """A joint that is at rest within a gap does not feel how the angle is recorded."""
+    keys = ("backlash",)
+    study = study_of_a_pair(driven, keys)
+    weighing = Weighing(study._evaluator(1), keys)
+    model = KBI() + EFFECTS["backlash"]()
+    link = {"stiffness": 300.0, "time": 0.002, "share": 0.2, "gap": 2e-6, "rounding": 0.1}
+    values = JOINT | {f"backlash.{name}": value for name, value in link.items()}
+    found = study._evaluator(1).evaluate(model, [values], resolved=False)
+    estimate = replace(found.weights.estimate, carried=Process((), (), 1e-4))
+    found = replace(found, weights=replace(found.weights, estimate=estimate))
+    small = replace(
+        found, values=found.values | {"backlash.gap": 4e-4, "backlash.stiffness": 500.0}
+    )
+    large = replace(found, values=small.values | {"backlash.gap": 5e-3})
+    assert ("would be no play" in weighing._objection(small)) != shown
+    assert weighing._objection(large) == ""
 
 
 @pytest.mark.parametrize("driven", ["torque", "angle"])

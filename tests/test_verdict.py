@@ -87,7 +87,7 @@ def test_a_clue_beside_what_is_claimed_is_said_to_be_one(split):
     assert reason(found, "clue").numbers == {"coulomb_friction": pytest.approx(0.8)}
     said = verdict_sentence(found)
     assert "misses gravity" in said
-    assert "More likely than not it misses dry (Coulomb) friction (80 %) as well." in said
+    assert "It may well miss dry (Coulomb) friction (80 %) besides." in said
     assert "tell whether it misses dry (Coulomb) friction as well" in next_step_sentence(found)
     # What is at a bound of nothing is no number of many digits.
     base = found.found.baseline
@@ -98,6 +98,18 @@ def test_a_clue_beside_what_is_claimed_is_said_to_be_one(split):
     assert "10⁻¹²" not in said
     # What is sure has no clue beside it.
     assert reason(findings(split, sure("gravity")), "clue") is None
+
+
+def test_what_may_be_in_the_place_of_a_clue_is_said(split):
+    rows = [(("coulomb_friction", "gravity"), 0.35), (("gravity", "second_mass"), 0.25)]
+    found = findings(split, [*rows, (("gravity",), 0.4)])
+    assert found.verdict.sets == (("gravity",),)
+    assert reason(found, "clue").numbers == {"coulomb_friction": pytest.approx(0.35)}
+    assert reason(found, "instead of the clue").numbers == {"second_mass": pytest.approx(0.25)}
+    said = verdict_sentence(found)
+    assert "may well miss dry (Coulomb) friction (35 %) or a second mass" in said
+    assert "In the place of that clue there may be second mass 25 %." in in_words(found)
+    assert "dry (Coulomb) friction or a second mass" in next_step_sentence(found)
 
 
 def test_nothing_is_missing_where_that_is_probable(split):

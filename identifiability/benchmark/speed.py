@@ -1,140 +1,141 @@
-"""How long an investigation takes, where its time goes, and how long it says nothing.
+"""Effective draws a CPU second, of this package's sampler and of others; and what a cell costs.
 
-Joints with a delayed reflex, recorded by the simulator that shares no equations with the library,
-are investigated by the command as a user types it, in a process of its own: with an empty compile
-cache, then again with what that run left there. A fit of K, B and I to the same files, in the same
-run, is the unit by which machines can be compared.
+In one process, one after another, for musculoskeletal models that span the paper's grid. All
+evaluate the same likelihood: its machine code, for as many points at once as they ask for, and
+NumPyro the same equations by JAX.
 """
 
 from __future__ import annotations
 
+import itertools
 import json
-import os
-import subprocess
-import sys
-import tempfile
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
-from itertools import pairwise
-from pathlib import Path
+from functools import partial
 from typing import Any
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
-from identifiability.benchmark.blind import Imposed
-from identifiability.benchmark.joints import Joint, draw_joint
-from identifiability.benchmark.motion import Motion, reaction
-from identifiability.provenance import code_fingerprint, stamp
+from identifiability.benchmark.peers import NUTS_NAME, PEERS, Drawn, Nuts, installed, own
+from identifiability.inference.curvature import curvature
+from identifiability.inference.fitting import fit
+from identifiability.inference.problem import Problem
+from identifiability.inference.profiles import profile
+from identifiability.inference.quadrature import quadrature
+from identifiability.inference.sampling import sample
+from identifiability.measurement.noise import READINGS
+from identifiability.measurement.perturbations import PERTURBATIONS, WINDOWS
+from identifiability.provenance import stamp
+from identifiability.study import paper
+from identifiability.study.atlas import ENOUGH, Cell, evaluate
 from identifiability.sweep.outcome import Arrays, Outcome
-from identifiability.sweep.run import processors, sweep
+from identifiability.sweep.run import sweep
 
-_CODE = ("identifiability.cli.investigate", "identifiability.cli.fit")
-_EFFECT = "stretch_reflex"
-_RTOL = 1e-6  # of the simulation
-_NOISE = (1e-2, 1e-3)  # of the response, and of what is imposed, over their standard deviations
-_QUIET = 0.1  # s at rest
-_HOLDS, _GAPS = (0.08, 0.25), (0.08, 0.35)  # s
-_PACE = 60.0  # 1/s
-_LEVEL, _REACH = 0.25, 0.2  # of the torque over the stiffness; of the angle [rad]
-_DIGITS = "%.9g"
+OWN = "this package"
+BASE = "emcee, stretch move"
+"""What the others are compared with."""
 
-
-@dataclass(frozen=True)
-class Size:
-    """Recordings to be investigated.
-
-    Attributes
-    ----------
-    name : str
-    trials, samples : int
-        Number of trials, and of samples in each.
-    rate : float
-        Samples per second.
-    imposed : {"torque", "angle"}
-    mark_empty, mark_full : float or None
-        Seconds that it shall take on two processors, with an empty compile cache and a full one.
-    """
-
-    name: str
-    trials: int
-    samples: int
-    rate: float
-    imposed: Imposed
-    mark_empty: float | None = None
-    mark_full: float | None = None
-
-
-_BOTH: tuple[Imposed, Imposed] = ("torque", "angle")
-SIZES = (
-    *(Size("six trials", 6, 500, 500.0, imposed, 40.0, 25.0) for imposed in _BOTH),
-    *(Size("sixteen trials", 16, 900, 1000.0, imposed, None, 90.0) for imposed in _BOTH),
-    *(Size("a long record", 1, 25_000, 1000.0, imposed) for imposed in _BOTH),
-    *(Size("a minute", 1, 60_000, 1000.0, imposed) for imposed in _BOTH),
-)
-"""What is timed. Marks are for trials that a session in a laboratory gives."""
-
-MOST_SILENT = 10.0
-"""Seconds for which a command may say nothing."""
+_STIFFNESSES, _DAMPINGS = (10.0, 60.0, 200.0), (2.0, 8.0, 30.0)
+_BATCH, _CALLS = 512, 20
+_FINE = 2.0  # times the nodes of the quadrature that widths are judged by
+_REPEATS = 3  # of which the quickest counts
 
 
 @dataclass(frozen=True)
 class Timed:
-    """One command.
+    """One sampler on one posterior.
 
     Attributes
     ----------
+    ess : float
+        Effective draws, of the parameter that has fewest.
     seconds : float
-        From when it was typed until it was done, report and figures included.
-    silence : float
-        Longest time [s] in which it said nothing once it had begun to speak.
-    before : str
-        What it had said last before that.
-    timings : dict of str to float
-        Seconds by part, as the record has them.
-    found : tuple of str
-        Kind of the verdict of an investigation, and the effects that it names.
+        Of a processor; nothing was compiled in them.
+    apart : float
+        Largest difference of a standard deviation from the quadrature's, over its Monte Carlo
+        error.
+    off : float
+        The same difference over the standard deviation itself.
+    converged : bool
     """
 
+    ess: float
     seconds: float
-    silence: float
-    before: str
-    timings: Mapping[str, float]
-    found: Sequence[str]
+    apart: float
+    off: float
+    converged: bool
+
+    @property
+    def rate(self) -> float:
+        """Effective draws a second."""
+        return self.ess / self.seconds
 
 
 @dataclass(frozen=True)
 class Row:
-    """One size of recordings: a fit, and an investigation with an empty and with a full cache."""
+    """One setting.
 
-    size: Size
-    fit: Timed
-    empty: Timed
-    full: Timed
+    Attributes
+    ----------
+    name : str
+        Of the cell.
+    samplers : dict of str to Timed
+    stages : dict of str to float
+        Seconds of a processor for each part of the cell, and for the ``whole`` as the atlas
+        computes it.
+    bare : float
+        Seconds of a processor for one likelihood, of a batch.
+    own_evaluations : int
+        Likelihoods that this package's sampler asked for.
+    """
 
-    @property
-    def fits(self) -> float:
-        """What the investigation takes over what the fit takes, both with a full cache."""
-        return self.full.seconds / self.fit.seconds
+    name: str
+    samplers: Mapping[str, Timed]
+    stages: Mapping[str, float]
+    bare: float
+    own_evaluations: int
+
+    def times(self, name: str) -> float:
+        """Effective draws a second of this package's sampler, over another's."""
+        return self.samplers[OWN].rate / self.samplers[name].rate
+
+
+def cells(seed: int) -> list[Cell]:
+    """27 cells: three stiffnesses, three dampings, three durations; all else takes turns."""
+    found = []
+    ways = list(PERTURBATIONS)
+    for i, j, k in itertools.product(range(3), repeat=3):
+        found.append(
+            Cell(
+                _STIFFNESSES[i],
+                _DAMPINGS[j],
+                paper.RATIOS[(i + j + k) % 3],
+                WINDOWS[k],
+                ways[(i + 2 * j + 3 * k) % len(ways)],
+                READINGS[(i + j + k) % 2],
+                seed=seed,
+            )
+        )
+    return found
 
 
 def measure(
-    sizes: Sequence[Size], *, seed: int, folder: Path | None = None, progress: bool = True
+    some: Sequence[Cell], *, folder: Any = None, progress: bool = True
 ) -> tuple[list[Row], list[Outcome]]:
-    """Time the command on recordings of several sizes, one after another.
+    """Time every sampler on every cell, one after another in this process.
 
     Parameters
     ----------
-    sizes : sequence of Size
-    seed : int
+    some : sequence of Cell
     folder, progress
         See `sweep`.
     """
-    code = code_fingerprint(*_CODE)  # of the commands, which this module does not import
     outcomes = sweep(
         _timed,
-        {f"{size.name}, {size.imposed} imposed": (size, seed, code) for size in sizes},
+        {cell.name: (cell, installed()) for cell in some},
         folder=folder,
         label="speed",
         workers=1,
@@ -145,155 +146,123 @@ def measure(
     return [row_from(json.loads(str(a["row"]))) for a in found], list(outcomes.values())
 
 
-def _timed(task: tuple[Size, int, str]) -> Arrays:
-    """One size, as a sweep keeps it: JSON in an array of one text."""
-    size, seed, _ = task
-    return {"row": np.array(json.dumps(asdict(measured(size, seed))))}
+def _timed(task: tuple[Cell, Mapping[str, str]]) -> Arrays:
+    """One cell, as a sweep keeps it: JSON in an array of one text."""
+    cell, libraries = task
+    with threadpool_limits(1):
+        return {"row": np.array(json.dumps(asdict(measured(cell, libraries))))}
 
 
 def row_from(plain: Mapping[str, Any]) -> Row:
     """Row from its plain record."""
-    commands = {name: Timed(**plain[name]) for name in ("fit", "empty", "full")}
-    return Row(Size(**plain["size"]), **commands)
+    samplers = {name: Timed(**one) for name, one in plain["samplers"].items()}
+    return Row(**{**plain, "samplers": samplers})
 
 
-def measured(size: Size, seed: int) -> Row:
-    """Simulate recordings of a size and investigate them by the command.
-
-    Parameters
-    ----------
-    size : Size
-    seed : int
-
-    Raises
-    ------
-    RuntimeError
-        Where the command fails: its last words.
-    """
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        (folder / "trials").mkdir()
-        for i, columns in enumerate(recordings(size, seed)):
-            np.savetxt(
-                folder / "trials" / f"trial_{i + 1:02d}.csv",
-                columns,
-                delimiter=",",
-                header="time_s,torque_Nm,angle_rad",
-                comments="",
-                fmt=_DIGITS,
-            )
-
-        def run(command: str, out: str) -> Timed:
-            return timed(
-                [command, "trials", "--driven", size.imposed, "--out", out], folder, folder / "xdg"
-            )
-
-        empty = run("investigate", "first")
-        full = run("investigate", "again")
-        run("fit", "fitted")
-        return Row(size, run("fit", "refitted"), empty, full)
-
-
-def recordings(size: Size, seed: int) -> list[np.ndarray]:
-    """Trials of a joint with a reflex: time [s], torque [Nm] and angle [rad], shape (n, 3) each."""
-    root = np.random.SeedSequence(seed)
-    for_joint, for_trials, for_noise = (np.random.default_rng(s) for s in root.spawn(3))
-    joint = draw_joint([_EFFECT], for_joint)
-    respond = _pushed if size.imposed == "torque" else _moved
-    out = []
-    for _ in range(size.trials):
-        time, imposed, response = respond(joint, for_trials, size)
-        louder, quieter = _NOISE
-        response = response + louder * response.std() * for_noise.standard_normal(time.size)
-        imposed = imposed + quieter * imposed.std() * for_noise.standard_normal(time.size)
-        pair = (imposed, response) if size.imposed == "torque" else (response, imposed)
-        out.append(np.column_stack([time, *pair]))
-    return out
-
-
-def _pushed(
-    joint: Joint, random: np.random.Generator, size: Size
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Time, torque and angle: torques that are held for random times."""
-    time, torque = np.arange(size.samples) / size.rate, np.zeros(size.samples)
-    quiet = round(_QUIET * size.rate)
-    hold = max(1, round(random.uniform(*_HOLDS) * size.rate))
-    levels = random.uniform(-_LEVEL, _LEVEL, -(-size.samples // hold))
-    torque[quiet:] = joint.anatomy.stiffness * np.repeat(levels, hold)[: size.samples - quiet]
-    return time, torque, joint.respond(torque, 1 / size.rate, _RTOL)
-
-
-def _moved(
-    joint: Joint, random: np.random.Generator, size: Size
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Time, angle and torque: a servo's smooth steps at random times."""
-    time = np.arange(size.samples) / size.rate
-    gaps = random.uniform(*_GAPS, round(time[-1] / _GAPS[0]) + 1)
-    onsets = _QUIET + np.cumsum(gaps) - gaps[0]
-    onsets = onsets[onsets < time[-1] - _QUIET]
-    heights = np.diff(random.uniform(-_REACH, _REACH, onsets.size), prepend=0.0)
-    motion = Motion(onsets, heights, _PACE)
-    return time, motion.at(time)[0], reaction(joint, motion, time)
-
-
-def timed(arguments: Sequence[str], folder: Path, cache: Path) -> Timed:
-    """Run a command of the package in a process of its own, and listen to it.
+def measured(cell: Cell, libraries: Mapping[str, str]) -> Row:
+    """Time every sampler on one cell's posterior, and the parts of the cell.
 
     Parameters
     ----------
-    arguments : sequence of str
-        The last is the folder for results.
-    folder : Path
-        Where it is typed.
-    cache : Path
-        Of what is compiled.
-
-    Raises
-    ------
-    RuntimeError
-        Where it fails: its last words.
+    cell : Cell
+    libraries : mapping of str to str
+        The samplers beside ours, by their names in `PEERS`.
     """
-    environment = {k: v for k, v in os.environ.items() if not k.startswith("JAX_")}
-    environment |= {"XDG_CACHE_HOME": str(cache), "PYTHONPATH": os.pathsep.join(sys.path)}
-    command = [sys.executable, "-m", "identifiability", *arguments]
-    began = time.perf_counter()
-    said = [(began, "")]
-    with subprocess.Popen(
-        command,
-        cwd=folder,
-        env=environment,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        text=True,
-    ) as process:
-        assert process.stderr is not None
-        for line in process.stderr:
-            said.append((time.perf_counter(), line.strip()))
-    ended = time.perf_counter()
-    if process.returncode:
-        raise RuntimeError(f"{' '.join(arguments)}: {said[-1][1]}")
-    moments = [*said, (ended, "")][1:]
-    silences = [(after - before, text) for (before, text), (after, _) in pairwise(moments)]
-    longest, before_it = max(silences, default=(ended - began, ""))
-    found = folder / arguments[-1] / f"{arguments[0].replace('investigate', 'investigation')}.json"
-    record = json.loads(found.read_text(encoding="utf-8"))
-    verdict = record.get("verdict", {"kind": "", "effects": []})
-    return Timed(
-        ended - began,
-        longest,
-        before_it.partition("] ")[2],
-        record.get("timings", {}),
-        (verdict["kind"], *verdict["effects"]),
-    )
+    problem = cell.problem()
+    best = fit(problem, cell.setting.starts())
+    optimum, seed = best.values, cell.own_seed
+    fine = quadrature(problem, optimum, local_optima=best.reached, refinement=_FINE)
+
+    def timed(ask: Callable[[], Drawn]) -> Timed:
+        began = time.process_time()
+        found = ask()
+        seconds = time.process_time() - began
+        differ = found.sd - fine.sd
+        return Timed(
+            float(found.ess.min()),
+            seconds,
+            float(np.max(np.abs(differ / found.sd_mcse))),
+            float(np.max(np.abs(differ / fine.sd))),
+            found.converged,
+        )
+
+    counted = _Counted(problem)
+    own(counted, optimum, seed)  # type: ignore[arg-type]
+    samplers = {OWN: timed(partial(own, problem, optimum, seed))}
+    for name, (_, ask) in PEERS.items():
+        if name in libraries:
+            samplers[name] = timed(partial(ask, problem, optimum, seed))
+    if NUTS_NAME in libraries:
+        samplers[NUTS_NAME] = timed(Nuts(problem, optimum, seed))
+    return Row(cell.name, samplers, _stages(cell), _bare(problem, fine.mean), counted.points)
+
+
+def _stages(cell: Cell) -> dict[str, float]:
+    """Seconds of a processor for each part of a cell, and for the whole of it."""
+    problem, starts, seed = cell.problem(), cell.setting.starts(), cell.own_seed
+    best = fit(problem, starts)
+
+    def profiles() -> None:
+        shape = curvature(problem, best.values)
+        for name in problem.names:
+            profile(problem, best.values, name, shape=shape)
+
+    def integral() -> None:
+        quadrature(problem, best.values, local_optima=best.reached)
+
+    def draws() -> None:
+        sample(problem, best.values, seed=seed, local_optima=best.reached, enough=ENOUGH)
+
+    return {
+        "simulation": _quickest(cell.problem),
+        "fit": _quickest(lambda: fit(problem, starts)),
+        "Hessian and profiles": _quickest(profiles),
+        "posterior": _quickest(draws),
+        "quadrature": _quickest(integral),
+        "whole": _quickest(lambda: evaluate(cell)),
+    }
+
+
+def _quickest(ask: Callable[[], Any]) -> float:
+    took = []
+    for _ in range(_REPEATS):
+        began = time.process_time()
+        ask()
+        took.append(time.process_time() - began)
+    return min(took)
+
+
+def _bare(problem: Problem, at: np.ndarray) -> float:
+    """Seconds of a processor for one likelihood, of many at once."""
+    points = np.tile(at, (_BATCH, 1))
+    problem.log_likelihood(points)
+    began = time.process_time()
+    for _ in range(_CALLS):
+        problem.log_likelihood(points)
+    return (time.process_time() - began) / (_CALLS * _BATCH)
+
+
+class _Counted:
+    """A problem that counts the points whose likelihood it was asked for."""
+
+    def __init__(self, problem: Problem) -> None:
+        self._problem, self.points = problem, 0
+
+    def log_posterior(self, points: np.ndarray) -> np.ndarray:
+        self.points += len(np.atleast_2d(points))
+        return self._problem.log_posterior(points)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._problem, name)
 
 
 def record(rows: Sequence[Row], *, seed: int) -> dict[str, Any]:
     """Plain record, for JSON."""
     return {
         "schema": 1,
-        **stamp(__name__, *_CODE),
+        **stamp(__name__),
         "seed": seed,
-        "processors": processors(),
-        "most_silent": MOST_SILENT,
-        "rows": [asdict(row) | {"fits": row.fits} for row in rows],
+        "enough": ENOUGH,
+        "libraries": installed(),
+        "rows": [asdict(row) for row in rows],
     }

@@ -197,6 +197,11 @@ class Model:
         """Why values of parameters, by name, cannot be those of a joint; empty if they can."""
         return "; ".join(filter(None, (effect.objection(values) for effect in self.effects)))
 
+    def blurred(self, values: Mapping[str, float], noise: float) -> str:
+        """Why an imposed angle recorded with this noise [rad] cannot show effects so small."""
+        why = (effect.blurred(values, noise) for effect in self.effects)
+        return "; ".join(filter(None, why))
+
     @property
     def delayed(self) -> bool:
         """Whether some effect sees the motion that was a delay ago."""

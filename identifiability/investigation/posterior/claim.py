@@ -10,8 +10,13 @@ from typing import Literal
 from identifiability.investigation.posterior.probabilities import Probabilities
 from identifiability.joint.effects import Effect
 
+Keys = tuple[str, ...]
+
 _MOST_OF_ONE = 3  # effects of which one is there
-_LIKELY = 0.5  # probability above which an effect that is not claimed is shown as a clue
+# Probability above which an effect that is not claimed is a clue. What may only mend the equations
+# of what is claimed has half or more, what the data do not ask for a few percent.
+_LIKELY = 0.4
+_WORTH_SAYING = 0.05  # probability from which an effect is said to be in the place of a clue
 
 
 @dataclass(frozen=True)
@@ -26,7 +31,7 @@ class Claim:
         sure enough.
     effects : tuple of str
         Of the model that the claim is shown by: those that are claimed and, as a clue, what is
-        more likely there beside them than not; of effects that are not sure enough, or that
+        likely there beside them; of effects that are not sure enough, or that
         something unknown is beside, the most probable, as a clue. What is unknown often keeps one
         of them from being sure, and without it there is little to see.
     present : tuple of str
@@ -36,6 +41,9 @@ class Claim:
         none is claimed.
     probability : float
         That the claim is right.
+    instead : tuple of str
+        What may be in the place of a clue beside what is claimed, where it is likely that one of
+        them is there, and of no one it is.
     """
 
     kind: Literal["effects", "nothing", "unknown", "undecided"]
@@ -43,6 +51,7 @@ class Claim:
     sets: tuple[tuple[str, ...], ...]
     probability: float
     present: tuple[str, ...] = ()
+    instead: tuple[str, ...] = ()
 
     def names(self, effect: str) -> bool:
         """Whether an effect is claimed, alone or as one of several."""
@@ -86,8 +95,29 @@ def claim_of(posterior: Probabilities, library: Mapping[str, type[Effect]], shar
     if not slots:
         return Claim("undecided", sets[0], (), posterior.of(sets[0]))
     named = tuple(_with_equals(names, library) for names in slots.values())
-    likely = [e for e in sets[0] if e not in slots and posterior.present(e) > _LIKELY]
-    return Claim("effects", (*slots, *likely), named, posterior.claim(named))
+    likely, instead = _likely(posterior, sets[0], tuple(slots))
+    return Claim("effects", (*slots, *likely), named, posterior.claim(named), (), tuple(instead))
+
+
+def _likely(
+    posterior: Probabilities, best: Sequence[str], claimed: Keys
+) -> tuple[list[str], list[str]]:
+    """What is likely there beside what is claimed, and what else it may be.
+
+    Each effect of the most probable set that is likely; if none is, but one of several, the most
+    probable of these, and the others.
+    """
+    likely = [e for e in best if e not in claimed and posterior.present(e) > _LIKELY]
+    larger = [row for row in posterior.rows if row.effects and set(claimed) < set(row.effects)]
+    if likely or sum(row.probability for row in larger) <= _LIKELY:
+        return likely, []
+    every = {e for row in larger for e in row.effects or () if e not in claimed}
+    beside = sorted(every, key=lambda e: (-posterior.present(e), e))
+    shown = next((e for e in beside if tuple(sorted((*claimed, e))) in posterior.sets), None)
+    if shown is None:
+        return [], []
+    others = [e for e in beside if e != shown and posterior.present(e) >= _WORTH_SAYING]
+    return [shown], others[: _MOST_OF_ONE - 1]
 
 
 def _beside(posterior: Probabilities, share: float) -> tuple[str, ...]:

@@ -204,7 +204,7 @@ class Evaluator:
             To start with; what the model asks for by default.
         noise : Weights, optional
             Noise to start from besides white noise, such as that of a model with one effect less;
-            that of K, B and I by default.
+            that of K, B and I, by default and as well.
         least : float
             Log evidence below which a model is not fitted any further.
         resolved : bool
@@ -256,7 +256,11 @@ class Evaluator:
         # A single start that is to be resolved is where a fit of all samples ended.
         if self.coarse is None or (resolved and len(starts) == 1):
             beginnings = self._beginnings(problem, starts)
-            for weights in (noise or own, white):
+            noises = [noise or own, white]
+            # Not to hang on the noise of the model that this one was made from.
+            if noises[0].contenders[0].order != own.contenders[0].order:
+                noises.append(own)
+            for weights in noises:
                 yield beginnings.best(weights, _CARRIED), weights
             return
         known = self.coarse.reference.adopted(noise or own)

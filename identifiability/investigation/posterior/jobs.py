@@ -8,6 +8,7 @@ from identifiability.inference.starts import refined_values, starting_values
 from identifiability.investigation.posterior.evidence import Evaluated
 from identifiability.investigation.posterior.weighing import Job
 from identifiability.joint.effects import Effect
+from identifiability.joint.model import Model
 
 STARTS_BESIDE = 12
 """Shapes that are tried as starts beside other effects."""
@@ -26,7 +27,34 @@ def enlarged(current: Evaluated, effect: Effect, alone: Mapping[str, float]) -> 
     model, values = current.model + effect, current.values
     if not current.model.effect_keys:
         starts = starting_values(model, values, wide=True)
-        return Job(model, starts, current.refined, nested=current)
+    else:
+        starts = _starts_beside(model, values, effect, alone)
+    return Job(model, starts, current.refined, nested=current)
+
+
+def exchanged(current: Evaluated, key: str, effect: Effect, alone: Mapping[str, float]) -> Job:
+    """A model with another effect in the place of one, all in their plain forms.
+
+    Parameters
+    ----------
+    current : Evaluated
+    key : str
+        Of the effect that is left out.
+    effect : Effect
+        That comes in its place.
+    alone : mapping of str to float
+        See `enlarged`.
+    """
+    model = current.model.without(key) + effect
+    values = {name: v for name, v in current.values.items() if name in model.parameters}
+    starts = _starts_beside(model, values, effect, alone)
+    return Job(model, starts, noise=current.weights)
+
+
+def _starts_beside(
+    model: Model, values: Mapping[str, float], effect: Effect, alone: Mapping[str, float]
+) -> list[dict[str, float]]:
+    """Starts of a model from values of all its effects but one."""
     starts = starting_values(model, values, most=STARTS_BESIDE, wide=True)
     shape = {
         name: value
@@ -38,8 +66,7 @@ def enlarged(current: Evaluated, effect: Effect, alone: Mapping[str, float]) -> 
         starts += starting_values(model, {**values, **shape}, most=1)
     # With a second effect the first one may have to take another shape.
     joint = {name: values[name] for name in ("K", "B", "I")}
-    starts += starting_values(model, joint, most=STARTS_BESIDE, wide=True)
-    return Job(model, starts, current.refined, nested=current)
+    return starts + starting_values(model, joint, most=STARTS_BESIDE, wide=True)
 
 
 def richer(plain: Evaluated, keys: Iterable[str]) -> list[Job]:

@@ -9,7 +9,7 @@ from identifiability.inference.starts import starting_values
 from identifiability.investigation.fits.candidate import Candidate
 from identifiability.investigation.posterior.descriptions import renamed
 from identifiability.investigation.posterior.evidence import NOISE_SHARE, Evaluator
-from identifiability.investigation.posterior.jobs import STARTS_BESIDE, enlarged, richer
+from identifiability.investigation.posterior.jobs import STARTS_BESIDE, enlarged, exchanged, richer
 from identifiability.investigation.posterior.kept import Evaluations
 from identifiability.investigation.posterior.probabilities import Probabilities
 from identifiability.investigation.posterior.signatures import strongest
@@ -30,6 +30,9 @@ _NEAR = 12.0  # nats behind the best of its size, within which another set is en
 _EXCHANGED = 2  # effects up to which each is tried without the one that was found before it
 _BACK = 2  # times that the most probable set is weighed without each of its effects
 _POOR = 0.1  # share of what a set gained, that one effect more gains, if it was a poor picture
+# Nats behind the most probable set within which others have their effects exchanged for look-alikes
+# too, and how many of all these, at most.
+_CLOSE, _MOST_CLOSE = 5.0, 3
 
 
 def weigh(
@@ -49,7 +52,9 @@ def weigh(
     in it: two effects may be taken for a third one and its correction.
     What was added last may be what was missing all along, and what was found before it a poor
     picture of it: of a pair that leaves much less, both are enlarged. The most probable set is
-    weighed without each of its effects as well: none is named that was never left out. If that set
+    weighed without each of its effects as well: none is named that was never left out; and with a
+    look-alike in the place of each: none is named that what it is confused with did not stand in
+    for. If that set
     leaves more than an instrument would, or something unknown cannot be excluded, those that leave
     least are weighed as well.
 
@@ -92,11 +97,13 @@ def weigh(
                 break
             search.enlarge(left)
     search.leave_out()
+    search.exchange(most)
     posterior = weighing.concluded()
     credible = posterior.credible(weighing.rules.claimed)
     if search.leaves_much() or any(row.effects is None for row in credible):
         search.follow(stepwise(evaluator, weighing.found[()], library, most, progress), most)
         search.leave_out()
+        search.exchange(most)
         posterior = weighing.concluded()
     return posterior
 
@@ -110,6 +117,7 @@ class _Search:
     refined: set[Keys] = field(default_factory=set)
     reduced: set[Keys] = field(default_factory=set)
     plainer: set[Keys] = field(default_factory=set)
+    exchanged: set[Keys] = field(default_factory=set)
     plain: dict[Keys, float] = field(default_factory=dict)
 
     def add(self, what: str, jobs: Sequence[Job]) -> None:
@@ -135,14 +143,19 @@ class _Search:
         seen = strongest(self.weighing.evaluator, current, more, alone, most)
         jobs = [enlarged(current, more[key](), alone.get(key, {})) for key in seen]
         self.add(f"what may be added to {' + '.join(['K, B, I', *keys])}", jobs)
+        self._decide(len(keys) + 1)
+
+    def _decide(self, size: int) -> None:
+        """Weigh the best sets of a size further, in one noise, and refine them."""
+        known = self.weighing.found
         # Not the best alone: what another gains when it is integrated finer may be what decides.
-        ranked = self._ranked(len(keys) + 1)[:_TAKEN_UP]
+        ranked = self._ranked(size)[:_TAKEN_UP]
         near = [keys for keys in ranked if not self.weighing.is_far(keys, ranked[0])]
         self.weighing.take_up(near)
         for better in self.weighing.share_noise():
             if better not in self.refined:
                 self.plain[better] = known[better].log_evidence
-        self._refine(len(keys) + 1)
+        self._refine(size)
 
     def leave_out(self) -> None:
         """Weigh the most probable set without each of its effects, then the best of these sets so.
@@ -168,6 +181,54 @@ class _Search:
                     self.enlarge(keys)
             if before == set(self.enlarged):
                 break
+
+    def exchange(self, most: int) -> None:
+        """Weigh the most probable sets with a look-alike in the place of each of their effects.
+
+        One effect at a time leads past a set whose effects are both second best alone. What is the
+        best of its size now is enlarged.
+        """
+        for _ in range(_BACK):
+            close = [k for k in self._close() if len(k) > 1 and k not in self.exchanged]
+            if not close:
+                break
+            self.exchanged.update(close)
+            jobs: dict[Keys, Job] = {}
+            for keys in close:
+                jobs |= self._exchanges(keys)
+            self.add("look-alikes", list(jobs.values()))
+            for size in sorted({len(keys) for keys in jobs}):
+                before = self.best(size)
+                self._decide(size)
+                self._go_on(size, before, most)
+
+    def _close(self) -> list[Keys]:
+        """The most probable set, and those that come near."""
+        score = self.weighing.score
+        ranked = sorted(self.weighing.found, key=lambda keys: -score(keys))
+        return [k for k in ranked if score(k) > score(ranked[0]) - _CLOSE][:_MOST_CLOSE]
+
+    def _exchanges(self, keys: Keys) -> dict[Keys, Job]:
+        """A set with each look-alike in the place of each of its effects, if not weighed yet."""
+        found, jobs = self.weighing.found, {}
+        known = found[keys]
+        for key in keys:
+            rest = known.model.without(key)
+            for other in self.library[key].confused_with:
+                others = tuple(sorted({*keys, other} - {key}))
+                if other not in self.library or other in keys or others in found:
+                    continue
+                if rest.takes(self.library[other]):
+                    alone = found[other,].values if (other,) in found else {}
+                    jobs[others] = exchanged(known, key, self.library[other](), alone)
+        return jobs
+
+    def _go_on(self, size: int, before: Keys | None, most: int) -> None:
+        """Enlarge the best set of a size where it is another one than before."""
+        best = self.best(size)
+        new = best is not None and best != before and best not in self.enlarged
+        if best is not None and new and size < most and self.improves(best):
+            self.enlarge(best)
 
     def _plainer(self, keys: Keys) -> list[Job]:
         """A set with a plainer effect in the place of each that is a richer form of one."""
@@ -212,10 +273,7 @@ class _Search:
             self.add("what leaves least", [Job(step.model, [step.values])])
         for size, before in known.items():
             self._refine(size)
-            best = self.best(size)
-            new = best is not None and best != before and best not in self.enlarged
-            if best is not None and new and size < most and self.improves(best):
-                self.enlarge(best)
+            self._go_on(size, before, most)
 
     def _refine(self, size: int) -> None:
         """Free the refining parameters of the best sets of a size."""

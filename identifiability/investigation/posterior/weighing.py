@@ -25,7 +25,7 @@ from identifiability.investigation.posterior.discrepancy import (
     Discrepant,
     discrepancy_of,
 )
-from identifiability.investigation.posterior.evidence import Evaluated, Evaluator
+from identifiability.investigation.posterior.evidence import Evaluated, Evaluator, best_of
 from identifiability.investigation.posterior.kept import Evaluations
 from identifiability.investigation.posterior.noises import Weights
 from identifiability.investigation.posterior.probabilities import (
@@ -56,6 +56,10 @@ _OUT_OF_REACH = 20.0
 """Nats that a description is behind the best set by a part of a long record's samples, from which
 all of them do not make up for it: four times as many make it four times as much worse, give or take
 twice the root of that."""
+_MENDERS = 4
+"""Effects that may mend the equations of any other: with so many a set and the same with one effect
+more, which does no more than that, are as probable as each other. In blind cases the larger set was
+true about half the time."""
 _SAME = 0.5  # nats by which two evidences of one thing may differ
 
 
@@ -184,8 +188,12 @@ class Weighing:
 
     def _objection(self, found: Evaluated) -> str:
         """What speaks against values that were found; nothing where any will do."""
-        # Where an imposed angle moves the joint, parameters may lie anywhere on a ridge.
-        return "" if self.evaluator.band.angle_imposed else found.model.objection(found.values)
+        if not self.evaluator.band.angle_imposed:
+            return found.model.objection(found.values)
+        # Parameters may lie anywhere on a ridge.
+        estimate = found.weights.estimate
+        noise = estimate.carried_sd * float(np.max(estimate.levels))
+        return found.model.blurred(found.values, noise)
 
     def require_base(self) -> None:
         """Refuse to go on where the model to start from could not be weighed.
@@ -208,12 +216,17 @@ class Weighing:
 
         def evaluated(keys: Keys) -> Evaluated:
             known = self.found[keys]
-            return self._evaluations.evaluate(
-                known.model,
-                [known.values],
-                refined=known.refined,
-                scheme=known.scheme,
-                noise=known.weights,
+            # In another noise than that in which it was the better, a richer form may not be.
+            forms = (known.refined, ()) if known.refined else ((),)
+            return best_of(
+                lambda refined: self._evaluations.evaluate(
+                    known.model,
+                    [known.values],
+                    refined=refined,
+                    scheme=known.scheme,
+                    noise=known.weights,
+                ),
+                forms,
             )
 
         what = "weighing the most probable sets further"
@@ -522,7 +535,7 @@ class Weighing:
             mended = [inexact[keys]] if keys in inexact else []
             for more, value in found.items():
                 if len(more) == len(keys) + 1 and set(keys) < set(more) and self.mends(keys, more):
-                    mended.append(value - log(every))
+                    mended.append(value + log(min(1.0, _MENDERS / every)))
             # As probable as that the equations are exact.
             found[keys] = float(np.logaddexp.reduce([exact, *mended])) - log(2) * bool(mended)
         return {keys: value + self.log_prior(len(keys)) for keys, value in found.items()}

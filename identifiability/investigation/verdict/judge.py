@@ -80,6 +80,11 @@ class Verdict:
         """Effects that the error is shown to fall with and that are not named: probabilities."""
         return next((r.numbers for r in self.reasons if r.kind == "clue"), {})
 
+    @property
+    def instead_of_clue(self) -> Mapping[str, float]:
+        """Effects that may be in the place of the clue: probabilities."""
+        return next((r.numbers for r in self.reasons if r.kind == "instead of the clue"), {})
+
     def names(self, effect: str) -> bool:
         """Whether an effect is named, alone or as one of several."""
         return any(effect in names for names in self.sets)
@@ -134,6 +139,9 @@ def judge(
     no_clue = sure if named else there
     clues = {effect: p for effect, p in shown.items() if effect not in no_clue}
     reasons += [Reason("clue", tuple(clues), clues)] if clues else []
+    if clues and claim.instead:
+        instead = {effect: posterior.present(effect) for effect in claim.instead}
+        reasons.append(Reason("instead of the clue", tuple(instead), instead))
     if claim.kind == "unknown" and posterior.description is not None:
         reasons.append(Reason("nearest form", (posterior.description,)))
     reasons.append(_errors(split, found))

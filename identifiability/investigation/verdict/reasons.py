@@ -13,6 +13,7 @@ ReasonKind = Literal[
     "only a part",
     "whatever else",
     "clue",
+    "instead of the clue",
     "nearest form",
     "errors",
     "chosen alike",
@@ -47,6 +48,8 @@ class Reason:
           whatever else is;
         - clue: the effects that the error is shown to fall with, each with its probability; they
           are not claimed;
+        - instead of the clue: what may be in its place, each with its probability: that one of them
+          is there is likely, and of no one it is;
         - nearest form: the description of no mechanism that something unknown is most like;
         - errors: E ``before`` and ``after`` on the fitted, ``held_out_before`` and
           ``held_out_after`` on the held-out trials, ``floor`` of the noise;

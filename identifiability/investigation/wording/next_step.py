@@ -48,7 +48,9 @@ def next_step_sentence(findings: Findings) -> str:
         return next_experiment_sentence(following)
     clues = findings.verdict.clues
     if findings.verdict.kind == "explained" and clues:
-        likely = listed([findings.library[key].title for key in clues])
+        instead = findings.verdict.instead_of_clue
+        titles = [findings.library[key].title for key in (*clues, *instead)]
+        likely = listed(titles, "or" if instead else "and")
         return (
             "Record more trials, some larger and some slower: they tell whether it misses "
             f"{likely} as well. Until then quote K, B and I of the model with all of that, and say "

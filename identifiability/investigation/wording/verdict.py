@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from typing import Literal
 
 from identifiability.investigation.findings import Findings
 from identifiability.investigation.posterior.probabilities import Probabilities
@@ -36,11 +37,11 @@ def model_in_words(keys: Iterable[str]) -> str:
     return " + ".join(["K, B, I", *map(plain, keys)])
 
 
-def listed(words: Sequence[str]) -> str:
+def listed(words: Sequence[str], joined: Literal["and", "or"] = "and") -> str:
     """Words as a list in a sentence."""
     if len(words) < 2:
         return "".join(words)
-    return ", ".join(words[:-1]) + " and " + words[-1]
+    return f"{', '.join(words[:-1])} {joined} {words[-1]}"
 
 
 def verdict_sentence(findings: Findings) -> str:
@@ -48,8 +49,11 @@ def verdict_sentence(findings: Findings) -> str:
     clues = findings.verdict.clues
     if not clues or not findings.verdict.sets:
         return _verdict(findings)
-    also = [f"{findings.library[key].title} ({percent(p)})" for key, p in clues.items()]
-    return f"{_verdict(findings)} More likely than not it misses {listed(also)} as well."
+    instead = findings.verdict.instead_of_clue
+    each = {**clues, **instead}
+    also = [f"{findings.library[key].title} ({percent(p)})" for key, p in each.items()]
+    either = listed(also, "or" if instead else "and")
+    return f"{_verdict(findings)} It may well miss {either} besides."
 
 
 def _verdict(findings: Findings) -> str:
@@ -189,6 +193,7 @@ def _reason(reason: Reason, findings: Findings) -> str:
         "only a part": _only_a_part,
         "whatever else": _whatever_else,
         "clue": _clue,
+        "instead of the clue": _instead_of_clue,
         "nearest form": _nearest_form,
         "errors": _errors,
         "chosen alike": _chosen_alike,
@@ -241,6 +246,11 @@ def _clue(reason: Reason, findings: Findings) -> str:
         f"The error is shown with the most probable effects, of which these are not sure: "
         f"{listed(each)}. Treat them as a clue."
     )
+
+
+def _instead_of_clue(reason: Reason, findings: Findings) -> str:
+    each = [f"{plain(key)} {percent(p)}" for key, p in reason.numbers.items()]
+    return f"In the place of that clue there may be {listed(each, 'or')}."
 
 
 def _nearest_form(reason: Reason, findings: Findings) -> str:

@@ -15,6 +15,7 @@ from identifiability.joint.effects.soft_coupling import LINK, SoftCoupling
 from identifiability.joint.parameters import Parameter
 
 _TINY = 1e-6  # rad: keeps the slope finite where there is no gap
+_CLEAR = 5.0  # standard deviations of a recorded angle that a gap must have, to be seen in it
 
 
 class Backlash(SoftCoupling):
@@ -82,3 +83,13 @@ class Backlash(SoftCoupling):
         stiffness, time, share = (values[f"{self.key}.{p.name}"] for p in LINK)
         omega = math.sqrt(stiffness / (values["I"] * share * (1 - share)))
         return omega * (1 + time * omega)
+
+    def blurred(self, values: Mapping[str, float], noise: float) -> str:
+        """Whether the gap is no larger than the noise: it then only hides it from the joint."""
+        gap = values[f"{self.key}.gap"]
+        if gap >= _CLEAR * noise:
+            return ""
+        return (
+            f"a gap of {1e3 * gap:.2g} mrad would be no play, but hide the noise of the angle, of "
+            f"{1e3 * noise:.2g} mrad"
+        )

@@ -192,6 +192,23 @@ class Effect(ABC):
         """
         return ""
 
+    def blurred(self, values: Mapping[str, float], noise: float) -> str:
+        """Why an angle that is imposed, and recorded with noise, cannot show the effect so small.
+
+        Parameters
+        ----------
+        values : mapping of str to float
+            See `objection`.
+        noise : float
+            Standard deviation of the recorded angle [rad].
+
+        Returns
+        -------
+        str
+            Empty where it can. A model with such an effect is not weighed.
+        """
+        return ""
+
     def doubt(self, values: Mapping[str, float]) -> str:
         """Why fitted values, though a joint may have them, are more likely those of another effect.
 

@@ -1,4 +1,4 @@
-"""The benchmark of speed: what it times, what it hears, and its page."""
+"""The benchmark of durations: what it times, what it hears, and its page."""
 
 import json
 from dataclasses import replace
@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from identifiability.benchmark import speed
-from identifiability.benchmark.speed import SIZES, Row, Size, Timed, measured, recordings, timed
+from identifiability.benchmark import durations
+from identifiability.benchmark.durations import SIZES, Row, Size, Timed, measured, recordings, timed
 from identifiability.cli.main import main
-from identifiability.report.speed import speed_page
+from identifiability.report.durations import durations_page
 
 TINY = Size("tiny", 2, 150, 250.0, "torque")
 FAST = Timed(20.0, 4.0, "comparing", {"probabilities": 15.0, "widths": 3.0}, ["effects", "gravity"])
@@ -47,18 +47,18 @@ def test_the_command_is_timed_and_listened_to(imposed):
     # An empty cache has all to compile.
     assert row.full.seconds < row.empty.seconds
     assert row.fits == row.full.seconds / row.fit.seconds
-    assert json.loads(json.dumps(speed.record([row], seed=3)))["rows"][0]["fits"] == row.fits
+    assert json.loads(json.dumps(durations.record([row], seed=3)))["rows"][0]["fits"] == row.fits
 
 
 def test_what_is_too_slow_or_too_silent_is_marked():
     slow = replace(FAST, seconds=50.0, silence=12.0)
     rows = [Row(SIZES[0], FAST, slow, FAST), Row(SIZES[-1], FAST, FAST, FAST)]
-    page = speed_page(speed.record(rows, seed=3))
+    page = durations_page(durations.record(rows, seed=3))
     assert "| six trials | torque | 6 | 500 | **50** | 40 | 20 | 25 | 1.0 | **12** |" in page
     assert "| a minute | angle | 1 | 60,000 | 20 | | 20 | | 1.0 | 4 | gravity |" in page
     assert "probabilities 15 s, widths 3 s" in page
 
 
 def test_bad_options_are_one_sentence(capsys, tmp_path):
-    assert main(["benchmark", "speed", "--seed", "-2", "--out", str(tmp_path / "out")]) == 2
+    assert main(["benchmark", "durations", "--seed", "-2", "--out", str(tmp_path / "out")]) == 2
     assert capsys.readouterr().err.count("\n") == 1
