@@ -1,5 +1,7 @@
 """Likelihoods by machine code: those of JAX, at one point and at many, and their optima."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import scipy.linalg
@@ -15,7 +17,13 @@ from identifiability.joint.model import KBI
 from identifiability.joint.native.duals import exponential
 from identifiability.joint.response import simulate
 from identifiability.measurement.noise import Noise
-from identifiability.measurement.perturbations import Impulse, SampledTorque, imposed_motion
+from identifiability.measurement.perturbations import (
+    PERTURBATIONS,
+    Impulse,
+    SampledTorque,
+    imposed_motion,
+)
+from identifiability.study.setting import Setting, measured_problem
 
 TEAMS = {
     "K, B and I": (),
@@ -66,6 +74,21 @@ def test_many_points_are_as_one_by_one(team, driven):
     points = nearby(one, 20)
     alone = [-0.5 * np.sum(one.residuals(x) ** 2) for x in points]
     np.testing.assert_allclose(one.log_likelihood(points), alone, rtol=1e-9)
+
+
+@pytest.mark.parametrize("correlation_time", [0.0, 0.01])
+@pytest.mark.parametrize("perturbation", list(PERTURBATIONS))
+def test_a_joint_alone_without_offsets_is_as_with_derivatives(perturbation, correlation_time):
+    """It has a loop of its own: studies ask for it a thousand million times."""
+    setting = Setting(32.0, 3.2, 100.0)
+    one = measured_problem(
+        setting, PERTURBATIONS[perturbation](), 0.1, correlation_time=correlation_time
+    )
+    points = setting.starts()
+    alone = [-0.5 * np.sum(one.residuals(x) ** 2) for x in points]
+    np.testing.assert_allclose(one.log_likelihood(points), alone, rtol=1e-9)
+    several = replace(one, observations=one.observations * 2)
+    np.testing.assert_allclose(several.log_likelihood(points), 2 * np.array(alone), rtol=1e-9)
 
 
 # What JAX takes ten seconds to compile is held against it by the contract of effects.

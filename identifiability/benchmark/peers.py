@@ -25,7 +25,7 @@ from identifiability.joint.response import drive_arrays, exact_response
 _WALKERS = 32
 _STEPS, _FEW_STEPS = 1500, 400  # of each ensemble, of which the first quarter is forgotten
 _CHAINS, _ITERATIONS = 4, 4000
-_WARM_UP, _DRAWS = 500, 1000
+_WARM_UP, _DRAWS = 300, 500
 _LIVE = 500
 _BALL = 1e-3  # of the range of a parameter, about the optimum, in which walkers begin
 

@@ -432,11 +432,14 @@ def _compare(
     out: np.ndarray,
 ) -> None:
     """Whiten what a response leaves; its inner products, infinite where they are none."""
+    width = out.shape[0]
     if len(what.stretches) > 1:
         _coloured(response, what, theta, lanes, white)
+    elif width == 1 and not what.n_segments:
+        _squares(response, what, white, out)
+        return
     else:
         _plain(response, what, white)
-    width = out.shape[0]
     for s in range(width):
         for t in range(s + 1):
             out[s, t] = 0.0
@@ -449,6 +452,18 @@ def _compare(
             out[t, s] = out[s, t]
     if not out[0, 0] < np.inf:
         out[0, 0] = np.inf
+
+
+@compiled_loop
+def _squares(response: np.ndarray, what: Compared, white: np.ndarray, out: np.ndarray) -> None:
+    """What `_plain` leaves of a value alone, without unknown constants, and its square, at once."""
+    total = 0.0
+    for i in range(len(response)):
+        before, left = what.previous[i], what.scale[i] * response[i, 0] - what.target[i]
+        left -= what.echo[i] * response[before, 0]
+        white[what.rows[i], 0] = left
+        total += left * left
+    out[0, 0] = total if total < np.inf else np.inf
 
 
 @compiled_loop

@@ -78,26 +78,33 @@ def _add_identity(matrix: np.ndarray, size: float) -> None:
 
 
 @compiled_loop
-def _scaled(matrix: np.ndarray, scaled: np.ndarray) -> tuple[int, int]:
-    """A matrix halved until its 1-norm is at most 1/2; how often, and terms that its series needs.
+def _halvings(most: float) -> tuple[int, int]:
+    """How often a matrix of a 1-norm is halved to one of at most 1/2; terms its series then needs.
 
     The derivatives are as large as they are: their terms fall as quickly.
     """
+    count = 0
+    while not most <= 0.5 and count < 60:
+        most *= 0.5
+        count += 1
+    left, terms = 1.0, 1
+    while left > _ROUNDING and terms < _TERMS:
+        left *= most / terms
+        terms += 1
+    return count, terms
+
+
+@compiled_loop
+def _scaled(matrix: np.ndarray, scaled: np.ndarray) -> tuple[int, int]:
+    """A matrix halved until its 1-norm is at most 1/2; see `_halvings`."""
     most = 0.0
     for j in range(matrix.shape[1]):
         total = 0.0
         for i in range(matrix.shape[0]):
             total += abs(matrix[i, j, 0])
         most = max(most, total)
-    count = 0
-    while not most <= 0.5 and count < 60:
-        most *= 0.5
-        count += 1
+    count, terms = _halvings(most)
     added(matrix, 2.0**-count, matrix, 0.0, scaled)
-    left, terms = 1.0, 1
-    while left > _ROUNDING and terms < _TERMS:
-        left *= most / terms
-        terms += 1
     return count, terms
 
 
@@ -126,14 +133,23 @@ def _product_of_values(one: np.ndarray, other: np.ndarray, size: float, out: np.
 
 
 @compiled_loop
-def _exponential_of_values(scaled: np.ndarray, count: int, terms: int) -> np.ndarray:
-    """The same of a scaled matrix without derivatives, in a third of the time."""
-    n = len(scaled)
+def exponential_of_values(matrix: np.ndarray) -> np.ndarray:
+    """The exponential of a matrix without derivatives, shape (n, n), which is scaled in place."""
+    n, most = len(matrix), 0.0
+    for j in range(n):
+        total = 0.0
+        for i in range(n):
+            total += abs(matrix[i, j])
+        most = max(most, total)
+    count, terms = _halvings(most)
+    scale = 2.0**-count
     found, other = np.zeros((n, n)), np.empty((n, n))
     for i in range(n):
         found[i, i] = 1.0
+        for j in range(n):
+            matrix[i, j] *= scale
     for k in range(terms):
-        _product_of_values(scaled, found, 1.0 / (terms - k), other)
+        _product_of_values(matrix, found, 1.0 / (terms - k), other)
         found, other = other, found
         for i in range(n):
             found[i, i] += 1.0
@@ -147,10 +163,10 @@ def _exponential_of_values(scaled: np.ndarray, count: int, terms: int) -> np.nda
 def exponential(matrix: np.ndarray) -> np.ndarray:
     """Exponential by scaling and squaring of its Taylor series, see `exponentials`."""
     scaled, product, power = np.empty_like(matrix), np.empty_like(matrix), np.empty_like(matrix)
-    count, terms = _scaled(matrix, scaled)
     if matrix.shape[2] == 1:
-        power[:, :, 0] = _exponential_of_values(scaled[:, :, 0].copy(), count, terms)
+        power[:, :, 0] = exponential_of_values(matrix[:, :, 0].copy())
         return power
+    count, terms = _scaled(matrix, scaled)
     _series(scaled, terms, 0, product, power)
     for _ in range(count):
         multiplied(power, power, product)

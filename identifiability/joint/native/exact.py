@@ -7,7 +7,12 @@ from typing import NamedTuple
 import numpy as np
 
 from identifiability.joint.native.calls import add_forced, add_product, copy_row
-from identifiability.joint.native.duals import entries_of, exponential, solved
+from identifiability.joint.native.duals import (
+    entries_of,
+    exponential,
+    exponential_of_values,
+    solved,
+)
 from identifiability.joint.native.moving import (
     Imposed,
     Machine,
@@ -134,9 +139,6 @@ def exact(machine: Machine, imposed: Imposed, by: Propagator, out: np.ndarray) -
 @compiled_loop
 def _values(machine: Machine, imposed: Imposed, by: Propagator, out: np.ndarray) -> None:
     """The same without derivatives."""
-    if machine.rest.shape[1] == 2 and not imposed.angle:
-        _of_two(imposed, by, 1.0 / machine.inertia[0], out)
-        return
     n, m, rest = machine.rest.shape[1], imposed.states.shape[1], machine.rest
     state, moved = np.zeros(n), np.zeros(n)
     first = 2 if imposed.angle else 0
@@ -166,15 +168,27 @@ def _values(machine: Machine, imposed: Imposed, by: Propagator, out: np.ndarray)
 
 
 @compiled_loop
-def _of_two(imposed: Imposed, by: Propagator, mobility: float, out: np.ndarray) -> None:
-    """The same of a joint without internal states: most of what studies compute."""
+def of_two(machine: Machine, imposed: Imposed, out: np.ndarray) -> None:
+    """Values of a joint without internal states that a torque moves: most of what studies ask for.
+
+    Nothing is made but one matrix and room for it: what is made takes longer than what is computed.
+    """
+    m, interval, mobility = imposed.states.shape[1], imposed.interval, 1.0 / machine.inertia[0]
+    joined = np.zeros((2 + m, 2 + m))
+    joined[0, 1] = interval
+    joined[1, 0] = interval * machine.rest[1, 0, 0]
+    joined[1, 1] = interval * machine.rest[1, 1, 0]
+    for j in range(m):
+        joined[1, 2 + j] = interval * mobility * imposed.signals[0, 0, j]
+        for i in range(m):
+            joined[2 + i, 2 + j] = interval * imposed.generator[i, j]
+    by = exponential_of_values(joined)
+    a, b, c, d = by[0, 0], by[0, 1], by[1, 0], by[1, 1]
     angle = velocity = 0.0
-    a, b, c, d = by.onward[0, 0], by.onward[0, 1], by.onward[1, 0], by.onward[1, 1]
-    m = imposed.states.shape[1]
     for k in range(out.shape[0]):
         velocity += imposed.impulses[k] * mobility
         out[k, 0] = angle
         angle, velocity = a * angle + b * velocity, c * angle + d * velocity
         for j in range(m):
-            angle += by.forced[0, j, 0] * imposed.states[k, j]
-            velocity += by.forced[1, j, 0] * imposed.states[k, j]
+            angle += by[0, 2 + j] * imposed.states[k, j]
+            velocity += by[1, 2 + j] * imposed.states[k, j]

@@ -12,7 +12,7 @@ import numpy as np
 from numba import carray
 
 from identifiability.joint.native.calls import place, run
-from identifiability.joint.native.exact import exact, propagator_of
+from identifiability.joint.native.exact import exact, of_two, propagator_of
 from identifiability.joint.native.instruments import record
 from identifiability.joint.native.moving import Imposed, Machine, linear_part
 from identifiability.joint.native.steps import integrated, scheme_of
@@ -144,6 +144,22 @@ def _respond(
     out: np.ndarray,
 ) -> None:
     done, angle, theta = 0, every.angle, machine.theta
+    plain = sizes.substeps == 0 and machine.alone and sizes.n_states == 2 and not angle
+    plain = plain and sizes.readings == 1 and sizes.n_sensors == 0
+    if plain:
+        for i in range(sizes.n_drives):
+            a, b = starts[i], starts[i + 1]
+            imposed = Imposed(
+                intervals[i],
+                angle,
+                every.given[a:b],
+                every.states[a:b],
+                signals[i],
+                generators[i],
+                every.impulses[a:b],
+            )
+            of_two(machine, imposed, out[a:b])
+        return
     if sizes.substeps == 0:
         by = propagator_of(machine, every)
     else:
