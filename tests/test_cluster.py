@@ -1,5 +1,6 @@
 """Workers that are separate programs, reached through a scheduler."""
 
+import json
 import subprocess
 import sys
 import time
@@ -89,6 +90,44 @@ def test_a_cluster_computes_the_same_cells(tmp_path, started, capsys):
     time.sleep(5)
     assert main(["atlas", str(config), "--out", str(there), "--scheduler", address]) == 2
     assert "has no workers" in capsys.readouterr().err
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("killed", ["scheduler", "command"])
+def test_what_dies_takes_no_finished_cell_with_it(killed, tmp_path, started):
+    """A scheduler's death is one sentence; the same command goes on, without one as well."""
+    from distributed import Client
+
+    config = tmp_path / "plan.toml"
+    config.write_text(PLAN.replace("[10, 200]", str(list(range(10, 210, 5)))))
+    where = tmp_path / "scheduler.json"
+    options = ("--port", 0, "--dashboard-address", ":0", "--scheduler-file", where)
+    scheduler = started("scheduler", *options)
+    address = json.loads(address_in(where).read_text())["address"]
+    started("worker", "--scheduler-file", where, "--nthreads", 1, "--no-dashboard")
+    there, here = tmp_path / "there", tmp_path / "here"
+    atlas = [sys.executable, "-m", "identifiability", "atlas", str(config), "--out"]
+    with Client(scheduler_file=str(where), set_as_default=False) as client:
+        client.wait_for_workers(1, timeout=60)
+    command = subprocess.Popen(
+        [*atlas, str(there), "--scheduler", address], stderr=subprocess.PIPE, text=True
+    )
+    cells = there / "atlas.cells"
+    while len(list(cells.glob("*.npz"))) < 5:
+        assert command.poll() is None
+        time.sleep(0.05)
+    (scheduler if killed == "scheduler" else command).kill()
+    said = command.communicate(timeout=120)[1]
+    finished = {path.name: path.read_bytes() for path in cells.glob("*.npz")}
+    assert 5 <= len(finished) < 40
+    if killed == "scheduler":
+        assert command.returncode == 2
+        assert "lost the scheduler" in said.splitlines()[-1]
+        assert "Traceback" not in said
+    assert main(["atlas", str(config), "--out", str(there), "--workers", "1"]) == 0
+    assert {name: (cells / name).read_bytes() for name in finished} == finished
+    assert main(["atlas", str(config), "--out", str(here), "--workers", "1"]) == 0
+    xarray.testing.assert_identical(cells_of(there).drop_attrs(), cells_of(here).drop_attrs())
 
 
 @pytest.mark.parametrize(

@@ -26,6 +26,7 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
+from identifiability.errors import InputError
 from identifiability.sweep.outcome import Arrays, Outcome
 from identifiability.sweep.worker import attempt, prepare, sentence, solitary
 
@@ -83,6 +84,11 @@ class Runner:
         -------
         list of str
             Tasks that were under way when it broke.
+
+        Raises
+        ------
+        InputError
+            Where what the executor reaches is gone.
         """
         executor = make()
         running: dict[Future[tuple[Arrays, float]], str] = {}
@@ -96,6 +102,8 @@ class Runner:
                     )
                     running[future] = missing.popleft()
                 for future in wait(running, return_when=FIRST_COMPLETED).done:
+                    if future.cancelled():
+                        raise self._lost(len(missing) + len(running))
                     if isinstance(future.exception(), BrokenExecutor):
                         raise BrokenExecutor
                     self._settle(future, running.pop(future))
@@ -151,6 +159,13 @@ class Runner:
         else:
             trace = "".join(traceback.format_exception(error))
             self.finish(Outcome(name, "failed", cause=sentence(error)), trace)
+
+    def _lost(self, missing: int) -> InputError:
+        return InputError(
+            f"lost the scheduler, or the connection to it, with {missing} of {len(self.tasks)} "
+            "tasks missing; what is finished is kept: start it again, or leave it out, and type "
+            "the same command"
+        )
 
     def _hung(self, name: str) -> bool:
         """Whether a task ran into its limit; if so it is finished."""
