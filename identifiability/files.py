@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import tempfile
@@ -18,6 +19,26 @@ from identifiability.errors import InputError
 
 
 @contextmanager
+def with_room(path: Path) -> Iterator[None]:
+    """Say in one sentence that the disk is full, where writing finds that.
+
+    Raises
+    ------
+    InputError
+        Where there is no room left for what is written to `path`.
+    """
+    try:
+        yield
+    except OSError as error:
+        if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+            raise
+        raise InputError(
+            f"found no room on the disk for '{path}' ({os.strerror(error.errno)}); what was "
+            "written before is kept: make room, and type the same command"
+        ) from None
+
+
+@contextmanager
 def replacing(path: Path) -> Iterator[Path]:
     """Give a temporary name beside `path`; on success the file takes its place.
 
@@ -25,21 +46,29 @@ def replacing(path: Path) -> Iterator[Path]:
     ----------
     path : Path
         File to be written; its folder is made.
+
+    Raises
+    ------
+    InputError
+        Where the folder cannot be made, or the disk is full.
     """
     path = Path(path)
     output_folder(path.parent)
-    handle, name = tempfile.mkstemp(prefix=f".{path.stem}.", suffix=path.suffix, dir=path.parent)
-    os.close(handle)
-    temporary = Path(name)
-    try:
-        yield temporary
-        # mkstemp keeps the file to its owner; a result should have the usual rights.
-        umask = os.umask(0)
-        os.umask(umask)
-        temporary.chmod(0o666 & ~umask)
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
+    with with_room(path):
+        handle, name = tempfile.mkstemp(
+            prefix=f".{path.stem}.", suffix=path.suffix, dir=path.parent
+        )
+        os.close(handle)
+        temporary = Path(name)
+        try:
+            yield temporary
+            # mkstemp keeps the file to its owner; a result should have the usual rights.
+            umask = os.umask(0)
+            os.umask(umask)
+            temporary.chmod(0o666 & ~umask)
+            os.replace(temporary, path)
+        finally:
+            temporary.unlink(missing_ok=True)
 
 
 def write_text(path: Path, text: str) -> None:

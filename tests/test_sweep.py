@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import ctypes
+import errno
 import json
 import os
 import signal
@@ -148,6 +149,33 @@ def test_half_a_line_in_the_log_spoils_no_other(tmp_path, threads):
     lines = (tmp_path / "log.jsonl").read_text().splitlines()
     assert len(lines) == 3
     assert [json.loads(lines[i])["task"] for i in (0, 2)] == ["a", "c"]
+
+
+def test_a_full_disk_is_one_sentence_and_takes_nothing_finished_with_it(
+    tmp_path, threads, monkeypatch
+):
+    tasks = {str(i): Task(i) for i in range(6)}
+    written, savez = [], np.savez
+
+    def full(file, **arrays):
+        file.write(b"half of it")
+        if len(written) == 3:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        written.append(file.name)
+        file.seek(0)
+        savez(file, **arrays)
+
+    monkeypatch.setattr("numpy.savez", full)
+    with pytest.raises(InputError, match=r"found no room on the disk for .*make room"):
+        sweep(work, tasks, folder=tmp_path, label="full", workers=1, **threads)
+    kept = {path.name: path.read_bytes() for path in tmp_path.glob("*.npz")}
+    assert len(kept) == 3
+    assert not list(tmp_path.glob(".*"))
+    monkeypatch.undo()
+    again = sweep(work, tasks, folder=tmp_path, label="full", workers=1, **threads)
+    assert sum(outcome.resumed for outcome in again.values()) == 3
+    assert {name: (tmp_path / name).read_bytes() for name in kept} == kept
+    assert all(outcome.status == "done" for outcome in again.values())
 
 
 def test_without_a_folder_nothing_is_written(tmp_path, threads, monkeypatch):

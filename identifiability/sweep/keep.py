@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from identifiability.files import output_folder, read_arrays, write_arrays
+from identifiability.files import output_folder, read_arrays, with_room, write_arrays
 from identifiability.provenance import code_fingerprint, fingerprint
 from identifiability.sweep.outcome import Arrays, Outcome
 
@@ -68,5 +68,6 @@ class Keep:
         }
         if outcome.status != "done":
             entry |= {"cause": outcome.cause, "trace": trace}
-        self.log.write((json.dumps(entry) + "\n").encode())
-        self.log.flush()
+        with with_room(path):
+            self.log.write((json.dumps(entry) + "\n").encode())
+            self.log.flush()
