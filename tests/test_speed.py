@@ -8,10 +8,21 @@ import numpy as np
 import pytest
 
 from identifiability.benchmark import peers, speed
-from identifiability.benchmark.speed import BASE, OWN, Row, Timed, cells, measured, row_from
+from identifiability.benchmark.speed import (
+    BASE,
+    OWN,
+    Row,
+    Scaling,
+    Timed,
+    cells,
+    many,
+    measured,
+    row_from,
+)
 from identifiability.cli.main import main
 from identifiability.inference.fitting import fit
 from identifiability.inference.quadrature import quadrature
+from identifiability.measurement.perturbations import PERTURBATIONS
 from identifiability.report.speed import speed_page
 
 RESULTS = Path(__file__).resolve().parents[1] / "results"
@@ -25,6 +36,13 @@ def test_cells_span_the_grid():
     for name, values in {"K_CE": 3, "B_CE": 3, "ratio": 3, "T": 3, "perturbation": 5}.items():
         assert len({getattr(cell, name) for cell in every}) == values
     assert {cell.reading for cell in every} == {"contour", "energy"}
+
+
+def test_cells_to_scale_by_are_of_every_kind():
+    some = many(1)
+    assert len({cell.name for cell in some}) == len(some) > 2 * speed.FEW
+    assert {cell.perturbation for cell in some} == set(PERTURBATIONS)
+    assert len({cell.T for cell in some}) == 3
 
 
 @pytest.mark.parametrize("ask", [peers.own, peers.by_emcee])
@@ -68,7 +86,11 @@ def test_a_cell_is_timed_by_its_parts_and_as_a_whole():
 def test_the_page_says_how_many_times_as_many():
     rows = [Row(f"cell {i}", {OWN: FAST, BASE: SLOW}, STAGES, 1e-6, 50_000) for i in range(3)]
     assert rows[0].times(BASE) == 200
-    page = speed_page(json.loads(json.dumps(speed.record(rows, seed=1))))
+    scaled = Scaling(50, 200, 7.0, 22.0, 12.0, 400.0)
+    assert (scaled.each, scaled.start, scaled.by_two) == pytest.approx((0.1, 2.0, 2.0))
+    page = speed_page(json.loads(json.dumps(speed.record(rows, scaled, seed=1))))
+    assert "2.0 s to start, and 0.100 s for each cell more. Two workers do 2.00" in page
+    assert "would take two workers 11 minutes (aim: 10)" in page
     assert "**200 times** as many effective draws a second" in page
     assert f"| {BASE} | 500 (500 to 500) | 200 (200 to 200) | 0 of 3 | 3 of 3 | 4.0 % |" in page
     assert "**0.080 s** of a processor" in page

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import itertools
 import json
+import resource
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -30,7 +31,7 @@ from identifiability.measurement.noise import READINGS
 from identifiability.measurement.perturbations import PERTURBATIONS, WINDOWS
 from identifiability.provenance import stamp
 from identifiability.study import paper
-from identifiability.study.atlas import ENOUGH, Cell, evaluate
+from identifiability.study.atlas import ENOUGH, Cell, Plan, evaluate
 from identifiability.sweep.outcome import Arrays, Outcome
 from identifiability.sweep.run import sweep
 
@@ -42,6 +43,8 @@ _STIFFNESSES, _DAMPINGS = (10.0, 60.0, 200.0), (2.0, 8.0, 30.0)
 _BATCH, _CALLS = 512, 20
 _FINE = 2.0  # times the nodes of the quadrature that widths are judged by
 _REPEATS = 3  # of which the quickest counts
+FEW, _MANY = 50, 200
+"""Cells by which it is told what one more takes."""
 
 
 @dataclass(frozen=True)
@@ -101,6 +104,74 @@ class Row:
     def times(self, name: str) -> float:
         """Effective draws a second of this package's sampler, over another's."""
         return self.samplers[OWN].rate / self.samplers[name].rate
+
+
+@dataclass(frozen=True)
+class Scaling:
+    """The atlas's command on few cells and on many, by one worker and by two.
+
+    Attributes
+    ----------
+    few, many : int
+        Numbers of cells.
+    few_by_one, many_by_one, many_by_two : float
+        Seconds from when it begins until it is done, workers started.
+    memory : float
+        Most that a worker took [MiB].
+    """
+
+    few: int
+    many: int
+    few_by_one: float
+    many_by_one: float
+    many_by_two: float
+    memory: float
+
+    @property
+    def each(self) -> float:
+        """Seconds that one cell more takes one worker."""
+        return (self.many_by_one - self.few_by_one) / (self.many - self.few)
+
+    @property
+    def start(self) -> float:
+        """Seconds that pass without any cell."""
+        return self.few_by_one - self.few * self.each
+
+    @property
+    def by_two(self) -> float:
+        """How many times as many cells two workers do as one, once they have started."""
+        return (self.many_by_one - self.start) / (self.many_by_two - self.start)
+
+
+def scaling(some: Sequence[Cell], few: int) -> Scaling:
+    """Compute cells by one worker and by two.
+
+    Parameters
+    ----------
+    some : sequence of Cell
+    few : int
+        How many of them are few.
+    """
+
+    def seconds(n: int, workers: int) -> float:
+        began = time.perf_counter()
+        tasks = {cell.name: cell for cell in some[:n]}
+        sweep(evaluate, tasks, folder=None, label="scaling", workers=workers)
+        return time.perf_counter() - began
+
+    seconds(2, 1)  # what is compiled is kept
+    by_one = seconds(few, 1), seconds(len(some), 1)
+    by_two = seconds(len(some), 2)
+    memory = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024
+    return Scaling(few, len(some), *by_one, by_two, memory)
+
+
+def many(seed: int) -> list[Cell]:
+    """Cells of every kind, in no order, as many as there are for `scaling`."""
+    plan = Plan(perturbations=tuple(PERTURBATIONS), readings=READINGS[:1], seed=seed)
+    every = list(plan.cells().values())
+    order = np.random.default_rng(seed).permutation(len(every))
+    return [every[i] for i in order[:_MANY]]
 
 
 def cells(seed: int) -> list[Cell]:
@@ -256,7 +327,7 @@ class _Counted:
         return getattr(self._problem, name)
 
 
-def record(rows: Sequence[Row], *, seed: int) -> dict[str, Any]:
+def record(rows: Sequence[Row], scaled: Scaling, *, seed: int) -> dict[str, Any]:
     """Plain record, for JSON."""
     return {
         "schema": 1,
@@ -264,5 +335,6 @@ def record(rows: Sequence[Row], *, seed: int) -> dict[str, Any]:
         "seed": seed,
         "enough": ENOUGH,
         "libraries": installed(),
+        "scaling": asdict(scaled),
         "rows": [asdict(row) for row in rows],
     }

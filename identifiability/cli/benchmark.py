@@ -250,7 +250,7 @@ def _run_durations(options: argparse.Namespace) -> int:
 
 def _run_speed(options: argparse.Namespace) -> int:
     seed = _one_seed(options)
-    from identifiability.benchmark.speed import BASE, cells, measure, record
+    from identifiability.benchmark.speed import BASE, FEW, cells, many, measure, record, scaling
     from identifiability.files import output_folder
     from identifiability.report.speed import speed_page
 
@@ -259,7 +259,7 @@ def _run_speed(options: argparse.Namespace) -> int:
     rows, outcomes = measure(cells(seed), folder=kept)
     if not rows:
         return complain(outcomes, kept) or PARTIAL
-    found = record(rows, seed=seed)
+    found = record(rows, scaling(many(seed), FEW), seed=seed)
     ratios = sorted(one.times(BASE) for one in rows)
     said = [
         f"against {BASE}: {ratios[len(ratios) // 2]:.0f} times as many effective draws a second "

@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from identifiability.benchmark.speed import BASE, OWN
+from identifiability.benchmark.speed import BASE, OWN, Scaling
 from identifiability.provenance import made_by
 
 _APART = 3.0  # Monte Carlo errors from the quadrature
 _MARK_MEDIAN, _MARK_LEAST, _MARK_CELL, _MARK_BARE = 200.0, 20.0, 0.1, 3.0
+_MARK_TWO, _MARK_MEMORY, _MARK_GRID = 1.7, 2048.0, 10.0
 
 
 def speed_page(record: dict[str, Any]) -> str:
@@ -69,6 +70,7 @@ def speed_page(record: dict[str, Any]) -> str:
         every = [r["stages"][part] for r in rows]
         share = f"{100 * float(np.median(every)) / whole:.0f} %"
         lines.append(f"| {part} | {_range(every, _thousandths)} | {share} |")
+    lines += ["", *_scaled(Scaling(**record["scaling"]))]
     lines += ["", "## Every cell", "", *_every(rows)]
     return "\n".join(lines) + "\n"
 
@@ -88,6 +90,24 @@ def _summary(rows: Sequence[dict[str, Any]]) -> list[str]:
         f"  would alone (aim: {_MARK_BARE:g}); the rest is the proposal, emcee's own steps, and",
         "  the diagnostics of the draws.",
     ]
+
+
+def _scaled(found: Scaling) -> list[str]:
+    """What many cells take."""
+    grid = 13_500
+    return [
+        f"{found.few} cells take one worker {found.few_by_one:.1f} s, {found.many} take"
+        f" {found.many_by_one:.1f} s and two workers {found.many_by_two:.1f} s: {found.start:.1f} s"
+        f" to start, and {found.each:.3f} s for each cell more. Two workers do {found.by_two:.2f}",
+        f"times as much as one (aim: {_MARK_TWO:g}), and one takes {found.memory:.0f} MiB (aim:"
+        f" below {_MARK_MEMORY:.0f}). The {grid:,} cells of the paper's grid in one reading of the"
+        f" noise would take two workers {_minutes(found, grid):.0f} minutes (aim:"
+        f" {_MARK_GRID:.0f}).",
+    ]
+
+
+def _minutes(found: Scaling, n: int) -> float:
+    return (found.start + n * found.each / found.by_two) / 60
 
 
 def _every(rows: Sequence[dict[str, Any]]) -> list[str]:
