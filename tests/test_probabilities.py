@@ -8,7 +8,7 @@ import pytest
 from constructed import probabilities
 from hidden import JOINT
 from hidden import trials as trials_of
-from scipy import integrate, stats
+from scipy import integrate, signal, stats
 from scipy.optimize import least_squares
 
 from identifiability.benchmark.anatomy import Anatomy
@@ -28,8 +28,10 @@ from identifiability.benchmark.unknowns import TimeVaryingStiffness
 from identifiability.errors import InputError
 from identifiability.inference.fitting import inside
 from identifiability.inference.starts import starting_values
+from identifiability.investigation.posterior import evidence
 from identifiability.investigation.posterior.band import Band, band_of
 from identifiability.investigation.posterior.beginnings import Beginnings
+from identifiability.investigation.posterior.chance import scatter
 from identifiability.investigation.posterior.claim import claim_of
 from identifiability.investigation.posterior.columns import without
 from identifiability.investigation.posterior.descriptions import descriptions_of
@@ -305,7 +307,7 @@ def test_a_model_is_integrated_as_finely_as_telling_it_from_others_asks():
     exact = evaluator.evaluate(model, [values], scheme=short)
     assert found.scheme.is_finer_than(long)
     # Both by one noise: its optimum may be found from one fit and not from the other.
-    noise = [one.weights.contenders[0] for one in (found, exact)]
+    noise = [one.weights for one in (found, exact)]
     found, exact = (
         evaluator.reweighed(*pair) for pair in zip((found, exact), noise[::-1], strict=True)
     )
@@ -534,6 +536,47 @@ def test_noise_that_a_resonance_amplifies_is_no_torque_of_its_own():
     # Far from its best values a model comes near what it is there, and not thousands of nats above.
     assert discrepancy.beside(here).log_evidence < found.log_evidence + 50
     assert discrepancy.beside(found).log_evidence < found.log_evidence + 3
+
+
+def test_what_a_resonance_makes_noise_scatter_is_known_from_draws_of_it():
+    """The sum of squares of many draws, for a model that amplifies a narrow band, and none."""
+    rng, sizes, share = np.random.default_rng(1), (120, 81), 0.6
+    pole = 0.9 * np.exp(0.8j * np.pi)
+    resonance = [1.0, -2 * pole.real, abs(pole) ** 2]
+
+    def draw(n):
+        usual = [np.sqrt(share) * rng.standard_normal((size, n)) for size in sizes]
+        rung = [0.5 * signal.lfilter([1.0, 0.0, -1.0], resonance, one, axis=0) for one in usual]
+        moved = [one + other for one, other in zip(usual, rung, strict=True)]
+        return np.concatenate(usual), np.concatenate(moved)
+
+    own = np.sqrt(1 - share) * rng.standard_normal((sum(sizes), 4000))
+    usual, moved = draw(4000)
+    before, after = (np.var(np.sum((own + part) ** 2, axis=0)) for part in (usual, moved))
+    assert after > 3 * before  # else nothing is tested
+    found = [scatter(*pair, sizes) for pair in zip(moved.T[:200], usual.T[:200], strict=True)]
+    assert np.sqrt(np.mean(np.square(found))) == pytest.approx(np.sqrt(after - before), rel=0.1)
+    # That of one draw is of that size.
+    assert np.std(found) < 0.5 * np.mean(found)
+    alike = [scatter(part, part, sizes) for part in usual.T[:200]]
+    assert np.mean(alike) < 0.2 * np.mean(found)
+
+
+@pytest.mark.parametrize("credited", [True, False])
+def test_noise_of_the_angle_that_is_weak_by_chance_is_no_second_mass(credited, monkeypatch):
+    """A joint alone, moved, its angle rounded: a seed that nobody had worked on named a mass."""
+    case = blind_cases("nulls", 751, 12)[5].build()
+    trials = (*case.fit, *case.held_out)
+    assert case.truth == ()
+    if not credited:
+        monkeypatch.setattr(evidence, "_CHANCE", 0.0)  # the control
+    joint = {name: case.joint[name] for name in ("K", "B", "I")}
+    evaluator = evaluator_of(band_of(trials, ()), joint)
+    plain = evaluator.evaluate(KBI(), [joint])
+    mass = {"inertia": 0.0018, "frequency": 40.6, "damping_ratio": 0.009}
+    start = joint | {f"second_mass.{name}": value for name, value in mass.items()}
+    found = evaluator.evaluate(KBI() + EFFECTS["second_mass"](), [start], nested=plain)
+    assert (found.log_evidence < plain.log_evidence + 2) == credited
 
 
 @pytest.mark.parametrize("driven", ["torque", "angle"])

@@ -21,6 +21,7 @@ from identifiability.inference.problem import Problem
 from identifiability.inference.starts import nested_values
 from identifiability.investigation.posterior.band import Band
 from identifiability.investigation.posterior.beginnings import Beginnings
+from identifiability.investigation.posterior.chance import scatter
 from identifiability.investigation.posterior.laplace import less, log_volume, moved_by
 from identifiability.investigation.posterior.noises import (
     Reference,
@@ -54,6 +55,9 @@ _SOLVER = 1.0  # squared error of the integration, all samples together, over th
 _NEAR_END = 0.1  # nats, twice, that a fit's next step would bring where it ends
 _MISSED = 0.5  # nats by which a model may be less likely than one that it contains
 _CARRIED = 2  # starts that a fit is carried on from
+# Standard deviations of the sum of squares that what is taken off for noise of an imposed angle,
+# beyond what is at the reference, has to exceed: only what is beyond counts.
+_CHANCE = 2.0
 _DIVERGED = 1e3  # responses that a model may leave, and still be said to have one
 _PLAIN = ((0, 0), (1, 0), (1, 1), (2, 0), (2, 1))  # to which that of a better model may fall
 
@@ -389,16 +393,24 @@ class Evaluator:
         ftol = _NEAR_END / max(1, self.band.n_samples)
         return explore(weighed, points, evaluations=EVALUATIONS, further=further, ftol=ftol).values
 
-    def reweighed(self, found: Evaluated, contender: Contender) -> Evaluated:
-        """A model with its noise sought from another's, where that is better.
+    def reweighed(self, found: Evaluated, noise: Weights) -> Evaluated:
+        """A model with its noise sought from another's, or that as it is, where that is better.
 
-        Two that leave the same must not be told apart by where the noise of each was sought from.
+        Two that leave the same must not be told apart by where the noise of each was sought from,
+        nor by how near the likeliest noise it ended: beside what is not known between the samples
+        an estimate is not quite that.
         """
-        weights = self.reference.weights(found.raw, [contender])
-        here = self.evaluated(found.problem, found.x, weights, found.refined, [contender])
+        contender = noise.contenders[0]
+        here = max(
+            (
+                self.evaluated(found.problem, found.x, weights, found.refined, [contender])
+                for weights in (self.reference.weights(found.raw, [contender]), noise)
+            ),
+            key=lambda one: one.log_evidence,
+        )
         if not here.log_evidence > found.log_evidence:
             return found
-        moved = self.settled(found.problem, found.x[None], weights, found.refined)
+        moved = self.settled(found.problem, found.x[None], here.weights, found.refined)
         return max(here, moved, key=lambda one: one.log_evidence)
 
     @property
@@ -480,6 +492,11 @@ class Evaluator:
     ) -> float:
         order, n = weighed.weights.n_parameters, self.band.n_samples
         squares = weighed.squares_of(white, probe) + weighed.weights.log_determinant
+        if probe is not None and (more := weighed.taken_more(probe)):
+            weights = weighed.weights
+            usual = weights.gain * weights.whitened(self.reference.raw_probes)[:, 0]
+            sizes = [samples.size for samples in self.band.samples]
+            squares += min(more, _CHANCE * scatter(probe[:, 0], usual, sizes))
         return float(-0.5 * squares - order * n / max(1, n - order - 2))
 
     def _limits(self, problem: Problem, i: int) -> bool:

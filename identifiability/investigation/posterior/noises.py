@@ -226,6 +226,11 @@ class Weighed:
         """
         return float(probe[:, 0] @ probe[:, 0]) < self.most_taken
 
+    def taken_more(self, probe: np.ndarray) -> float:
+        """What is taken off the sum of squares beyond what is at the reference."""
+        share = float(probe[:, 0] @ probe[:, 0])
+        return max(0.0, min(share, self.most_taken) - self.weights.excess)
+
     @property
     def most_taken(self) -> float:
         """Most that is taken off the sum of squares for noise of the angle."""
@@ -350,12 +355,18 @@ class Reference:
             return weights
         # One probe is a draw: its size at this joint is set to what is expected there.
         excess = self.excess(estimate)
+        drawn = weights.whitened(self.raw_probes)
+        gain = np.sqrt(excess / max(float(np.sum(drawn**2)), 1e-300))
+        return replace(weights, gain=float(gain), excess=excess)
+
+    @cached_property
+    def raw_probes(self) -> list[np.ndarray]:
+        """By stretch, what the probes add to the residual of this joint, shape (n, 1)."""
+        assert self.probe_problem is not None
         x = self.probe_problem.free_vector(self._values)
         _, probes = raw_residuals(self.probe_problem, self.band, x)
         assert probes is not None
-        drawn = weights.whitened([p[:, :1] for p in probes])
-        gain = np.sqrt(excess / max(float(np.sum(drawn**2)), 1e-300))
-        return replace(weights, gain=float(gain), excess=excess)
+        return [probe[:, :1] for probe in probes]
 
     def adopted(self, weights: Weights) -> Weights:
         """Noise that was estimated of other samples of the same trials."""

@@ -282,7 +282,7 @@ class Weighing:
             known = self.found[keys]
             if not self.evaluator.likelihood_by(known, lead.weights) > known.log_likelihood + _SAME:
                 return None
-            return self.evaluator.reweighed(known, lead.weights.contenders[0])
+            return self.evaluator.reweighed(known, lead.weights)
 
         return self._adopt(others, _side_by_side(likelier, others))
 
@@ -307,7 +307,6 @@ class Weighing:
         """
         near = self._within(LOST)
         lead = self.found[max(near, key=lambda keys: self.found[keys].log_likelihood)]
-        noise = lead.weights.contenders[0]
         others = [keys for keys in near if self.found[keys] is not lead]
 
         def alike(keys: Keys) -> Evaluated:
@@ -324,7 +323,7 @@ class Weighing:
                 )
                 better = richer.log_evidence > known.log_evidence
                 known = richer if better and not self._objection(richer) else known
-            return self.evaluator.reweighed(known, noise)
+            return self.evaluator.reweighed(known, lead.weights)
 
         return bool(self._adopt(others, _side_by_side(alike, others)))
 
