@@ -52,9 +52,13 @@ from .investigation.wording.describe import describe
 from .joint.effects import (
     EFFECTS,
     ActivationLag,
+    Backlash,
     CoulombFriction,
     CubicStiffness,
+    DampingByAngle,
+    DampingByDirection,
     Effect,
+    EndStop,
     Gravity,
     HillForceVelocity,
     MaxwellBranch,
@@ -67,6 +71,7 @@ from .joint.effects import (
     SensorLowpass,
     SeriesTendon,
     ShortRangeStiffness,
+    SoftCoupling,
     StretchReflex,
 )
 from .joint.model import KBI, Model, Reaction
@@ -104,6 +109,7 @@ from .plots.recording import cuts_figure, overlay_figure, windows_figure
 from .plots.rivals import rivals_figure
 from .report.investigation import write_report
 from .study.approximations import high_frequency, low_frequency
+from .study.paper import Optimum, paper_optimum
 from .study.setting import MSM, Setting, error_problem, measured_problem
 from .workbench.attempt import Attempt, Ranked, Ranking
 from .workbench.difference import Difference
@@ -154,7 +160,12 @@ __all__ = [  # noqa: RUF022 -- in the order of use
     "CubicStiffness",
     "CoulombFriction",
     "Gravity",
+    "EndStop",
+    "DampingByAngle",
+    "DampingByDirection",
     "SecondMass",
+    "SoftCoupling",
+    "Backlash",
     "Scheme",
     "SensorDelay",
     "SensorLowpass",
@@ -260,6 +271,8 @@ __all__ = [  # noqa: RUF022 -- in the order of use
     "measured_problem",
     "low_frequency",
     "high_frequency",
+    "Optimum",
+    "paper_optimum",
     "corner_figure",
     "ladder_figure",
     "alone_figure",

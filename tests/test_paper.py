@@ -43,7 +43,7 @@ FIGURE2 = {
 
 @pytest.mark.parametrize("panel", paper.PANELS, ids=lambda panel: panel.letter)
 def test_figure_2_comes_out(panel):
-    found = paper.optimum(panel.setting, panel.perturbation, panel.window)
+    found = paper.paper_optimum(panel.setting, panel.perturbation, panel.window)
     *values, error = FIGURE2[panel.letter]
     np.testing.assert_allclose(found.values, values, rtol=5e-3)
     np.testing.assert_allclose(found.E, error, rtol=0.02)
@@ -182,7 +182,7 @@ def test_the_hessian_of_the_error_agrees_with_differences():
 def test_eq_15_raises_the_error_by_de_where_it_is_quadratic():
     panel = paper.PANELS[3]
     small = 1e-6
-    found = paper.optimum(panel.setting, panel.perturbation, panel.window, dE=small)
+    found = paper.paper_optimum(panel.setting, panel.perturbation, panel.window, dE=small)
     problem = error_problem(panel.setting, panel.perturbation, panel.window)
     points = [found.values + found.change, found.values - found.change]
     np.testing.assert_allclose(paper.errors(problem, points) - found.E, small, rtol=0.02)

@@ -855,8 +855,9 @@ class Pretended:
 
 def evaluated_as(value, model, values, refined=()):
     problem = SimpleNamespace(model=model, integration=None)
+    weights = SimpleNamespace(estimate=SimpleNamespace(carried_sd=0.0, levels=np.ones(1)))
     return Evaluated(
-        problem, values, refined, np.zeros(3), None, value, value, None, None, None, None, []
+        problem, values, refined, np.zeros(3), weights, value, value, None, None, None, None, []
     )
 
 

@@ -49,3 +49,9 @@ def test_what_is_given_is_public():
         if kind not in PUBLIC.values() and not kind.__name__.startswith("_")
     }
     assert inner == set()
+
+
+def test_every_effect_is_public():
+    from identifiability.joint.effects import EFFECTS
+
+    assert {effect.__name__ for effect in EFFECTS.values()} <= set(identifiability.__all__)

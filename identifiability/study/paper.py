@@ -104,7 +104,9 @@ class Optimum:
     n_agreeing: int
 
 
-def optimum(setting: Setting, perturbation: Perturbation, window: float, dE: float = DE) -> Optimum:
+def paper_optimum(
+    setting: Setting, perturbation: Perturbation, window: float, dE: float = DE
+) -> Optimum:
     """Fit KBI to one response by its error E, within the physical bounds.
 
     Parameters
@@ -173,7 +175,7 @@ def panel_fit(panel: Panel, dE: float = DE) -> PanelFit:
     """
     model = KBI()
     problem = error_problem(panel.setting, panel.perturbation, panel.window)
-    best = optimum(panel.setting, panel.perturbation, panel.window, dE)
+    best = paper_optimum(panel.setting, panel.perturbation, panel.window, dE)
     simplex = fit_simplex(
         problem.with_prior(Prior.unbounded(model)), model.nominal, xatol=1e-4, fatol=0.5e-4
     )
@@ -250,7 +252,7 @@ def valley(panel: Panel, K: np.ndarray) -> Valley:
     """Profile of the error of one panel over K [Nm/rad], shape (n,), and the optimum's K."""
     problem = error_problem(panel.setting, panel.perturbation, panel.window)
     free = problem.with_prior(Prior.unbounded(problem.model))
-    start = optimum(panel.setting, panel.perturbation, panel.window).values
+    start = paper_optimum(panel.setting, panel.perturbation, panel.window).values
     K = np.union1d(K, start[0])
     points = np.tile(start, (K.size, 1))
     points[:, 0] = K
@@ -330,7 +332,7 @@ class Surface:
 def surface(setting: Setting, window: float, dE: float = DE, n: int = 41) -> Surface:
     """Error surface about the optimum of an impulse response, wide enough for E* + dE."""
     problem = error_problem(setting, Impulse(), window)
-    best = optimum(setting, Impulse(), window, dE)
+    best = paper_optimum(setting, Impulse(), window, dE)
     hessian = 2 * problem.hessian(best.values)
     K, B = (
         np.linspace(
@@ -376,7 +378,7 @@ def compute_row(row: Row) -> Arrays:
     out = np.empty((len(row.B_CE), len(QUANTITIES) + 2))
     for i, damping in enumerate(row.B_CE):
         setting = Setting(row.K_CE, damping, row.ratio * row.K_CE)
-        best = optimum(setting, PERTURBATIONS[row.perturbation](), row.window, row.dE)
+        best = paper_optimum(setting, PERTURBATIONS[row.perturbation](), row.window, row.dE)
         bounds = sum(1 << PARAMETERS.index(name) for name in best.at_bound)
         out[i] = [best.E, *best.values, *best.change, *best.reach, bounds, best.n_agreeing]
     return {"cells": out}
