@@ -25,7 +25,7 @@ from identifiability.joint.response import drive_arrays, exact_response
 _WALKERS = 32
 _STEPS, _FEW_STEPS = 1500, 400  # of each ensemble, of which the first quarter is forgotten
 _CHAINS, _ITERATIONS = 4, 4000
-_WARM_UP, _DRAWS = 300, 500
+_WARM_UP, _DRAWS, _FEW_CHAINS = 250, 250, 2
 _LIVE = 500
 _BALL = 1e-3  # of the range of a parameter, about the optimum, in which walkers begin
 
@@ -130,7 +130,7 @@ def by_pints(problem: Problem, optimum: np.ndarray, seed: int) -> Drawn:
 
 
 class Nuts:
-    """NumPyro's no-U-turn sampler, four chains, one after another; compiled where it is made."""
+    """NumPyro's no-U-turn sampler, two chains, one after another; compiled where it is made."""
 
     def __init__(self, problem: Problem, optimum: np.ndarray, seed: int) -> None:
         import jax
@@ -160,7 +160,7 @@ class Nuts:
             kernel,
             num_warmup=_WARM_UP,
             num_samples=_DRAWS,
-            num_chains=_CHAINS,
+            num_chains=_FEW_CHAINS,
             chain_method="sequential",
             progress_bar=False,
         )
