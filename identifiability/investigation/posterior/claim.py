@@ -10,8 +10,6 @@ from typing import Literal
 from identifiability.investigation.posterior.probabilities import Probabilities
 from identifiability.joint.effects import Effect
 
-Keys = tuple[str, ...]
-
 _MOST_OF_ONE = 3  # effects of which one is there
 # Probability above which an effect that is not claimed is a clue. What may only mend the equations
 # of what is claimed has half or more, what the data do not ask for a few percent.
@@ -100,7 +98,7 @@ def claim_of(posterior: Probabilities, library: Mapping[str, type[Effect]], shar
 
 
 def _likely(
-    posterior: Probabilities, best: Sequence[str], claimed: Keys
+    posterior: Probabilities, best: Sequence[str], claimed: Sequence[str]
 ) -> tuple[list[str], list[str]]:
     """What is likely there beside what is claimed, and what else it may be.
 

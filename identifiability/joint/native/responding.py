@@ -146,23 +146,9 @@ def _respond(
     done, angle, theta = 0, every.angle, machine.theta
     plain = sizes.substeps == 0 and machine.alone and sizes.n_states == 2 and not angle
     plain = plain and sizes.readings == 1 and sizes.n_sensors == 0
-    if plain:
-        for i in range(sizes.n_drives):
-            a, b = starts[i], starts[i + 1]
-            imposed = Imposed(
-                intervals[i],
-                angle,
-                every.given[a:b],
-                every.states[a:b],
-                signals[i],
-                generators[i],
-                every.impulses[a:b],
-            )
-            of_two(machine, imposed, out[a:b])
-        return
-    if sizes.substeps == 0:
+    if sizes.substeps == 0 and not plain:
         by = propagator_of(machine, every)
-    else:
+    elif sizes.substeps:
         linear = linear_part(machine, angle)
         scheme = scheme_of(linear, every.interval / sizes.substeps, sizes.order)
     for i in range(sizes.n_drives):
@@ -176,6 +162,9 @@ def _respond(
             generators[i],
             every.impulses[a:b],
         )
+        if plain:
+            of_two(machine, imposed, out[a:b])
+            continue
         found = np.zeros((b - a, sizes.width))
         if sizes.substeps == 0:
             if i and not sizes.alike:
