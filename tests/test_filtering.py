@@ -85,6 +85,26 @@ def test_a_motion_that_falls_to_half_the_sampling_rate_is_no_noise(rate):
     assert prepare([trial])[0].interval > 0
 
 
+def test_the_noise_of_few_short_trials_is_seen():
+    # Eight of 0.8 s at 100 Hz: what is flat scatters, and the slowest fall must still not be flat.
+    rate, n, trials = 100.0, 80, 8
+    seen = {"noise": 0, "motion": 0}
+    for seed in range(200):
+        random = np.random.default_rng((7, seed))
+        found = {"noise": [], "motion": []}
+        for _ in range(trials):
+            fast = np.cumsum(np.cumsum(random.standard_normal(20 * n)))[::20] / 20
+            found["motion"].append(0.3 * (fast - np.linspace(fast[0], fast[-1], n)) / np.ptp(fast))
+            slow = swing(n, rate, int(random.integers(1 << 31)))
+            found["noise"].append(slow.angle + 3e-3 * random.standard_normal(n))
+        for what, angles in found.items():
+            time = np.arange(n) / rate
+            records = [Trial(time, np.cos(time), angle, driven="angle") for angle in angles]
+            seen[what] += noise_cutoff(records) < 0.4 * rate
+    assert seen["noise"] > 190
+    assert seen["motion"] < 20
+
+
 def test_trials_share_one_cutoff():
     quiet, coarse = swing(), rounded(swing(seed=2))
     assert cutoff([quiet, coarse], "auto") == noise_cutoff([quiet, coarse])

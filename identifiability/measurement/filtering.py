@@ -24,10 +24,11 @@ HIGHEST_HZ = 50.0
 _OF_NYQUIST = 0.8  # a filter needs room below half the sampling rate
 _BAND = 2 ** (1 / 3)  # a third of an octave
 _SEGMENT_S = 1.0  # of the averaged spectra, which then reach down to a few Hz
-# White noise is flat from the lower to the upper part of the highest octave; an angle that
-# inertia moves falls with the square of the frequency at least. Half way, in logarithms.
+# White noise is flat from the lower to the upper part of the highest octave; an angle that inertia
+# moves falls with the square of the frequency at least, its density with the fourth power. Half
+# way, in logarithms: few short trials scatter by a quarter.
 _LOW, _MIDDLE, _HIGH = 0.5, 0.75, 0.95
-_FLAT = (_MIDDLE + _HIGH) / (_LOW + _MIDDLE)
+_FLAT = ((_MIDDLE + _HIGH) / (_LOW + _MIDDLE)) ** 2
 _SAMPLES_PER_CYCLE = 5.0
 # Cycles of the cut-off over which the filter reaches: its slowest pole fades by exp(-2.4) in each.
 _REACH, _LARGEST_SHARE, _SMALL_SHARE = 2.0, 0.25, 0.05
