@@ -740,7 +740,7 @@ def test_a_torque_that_is_recorded_late_does_not_hide_the_inertia():
 
 
 def test_an_angle_too_coarse_for_its_acceleration_is_said_to_be():
-    step = 0.02
+    step = 0.04
     trials = [
         replace(trial, angle=step * np.round(trial.angle / step))
         for trial in servo_trials(Joint(replace(ANATOMY, inertia=0.001)), torque_sd=0.02)

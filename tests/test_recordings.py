@@ -36,16 +36,16 @@ K, B, INERTIA = 60.0, 1.2, 0.08
 
 
 def imposed_angle_trial(noise_sd, seed=3):
-    """Smooth random steps of the angle, and the torque that K, B and I need for them."""
+    """Random steps of the angle, their jerk without jumps, and the torque that they need."""
     time = np.arange(0, 3, 1e-3)
     random = np.random.default_rng(seed)
     angle, velocity, acceleration = np.zeros((3, time.size))
     for onset in np.arange(0.3, 2.8, 0.3):
         size = random.choice([-1, 1]) * random.uniform(0.02, 0.05)
         s = np.clip((time - onset) / 0.04, 0, 1)
-        angle += size * (10 * s**3 - 15 * s**4 + 6 * s**5)
-        velocity += size * (30 * s**2 - 60 * s**3 + 30 * s**4) / 0.04
-        acceleration += size * (60 * s - 180 * s**2 + 120 * s**3) / 0.04**2
+        angle += size * (35 * s**4 - 84 * s**5 + 70 * s**6 - 20 * s**7)
+        velocity += size * 140 * (s - s**2) ** 3 / 0.04
+        acceleration += size * 420 * (s - s**2) ** 2 * (1 - 2 * s) / 0.04**2
     torque = K * angle + B * velocity + INERTIA * acceleration + 3.0
     return Trial(time, torque + noise_sd * random.standard_normal(time.size), angle, driven="angle")
 

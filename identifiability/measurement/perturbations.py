@@ -21,6 +21,8 @@ from identifiability.errors import InputError
 
 Hold = Literal["first-order", "zero-order", "smooth"]
 _FEWEST = 6  # samples of a spline
+MOTION_DEGREE = 7
+"""Of the spline through an imposed angle: see `imposed_motion`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -334,17 +336,19 @@ def prbs(time: np.ndarray, *, amplitude: float, dwell: float, seed: int) -> Samp
 
 
 def imposed_motion(time: np.ndarray, angle: np.ndarray) -> Drive:
-    """Drive of an imposed angle: angle, velocity and acceleration of its quintic spline.
+    """Drive of an imposed angle: angle, velocity and acceleration of its spline of degree seven.
 
     A cubic spline would do for the angle, but its second derivative falls short by (w h)²/12 at a
-    frequency w sampled at intervals h, and the fitted inertia with it.
+    frequency w sampled at intervals h, and the fitted inertia with it. At four samples a cycle that
+    of degree five is out by 1.3 %, enough to pass for a late and filtered sensor where there is
+    little noise; this one by 0.13 %.
 
     Parameters
     ----------
     time : array, shape (n,)
         Sample times [s].
     angle : array, shape (n,)
-        Imposed angle [rad], at least six samples.
+        Imposed angle [rad], at least eight samples.
 
     Returns
     -------
@@ -354,16 +358,19 @@ def imposed_motion(time: np.ndarray, angle: np.ndarray) -> Drive:
     Raises
     ------
     InputError
-        With fewer than six samples, or samples that are not uniform in time.
+        With fewer than eight samples, or samples that are not uniform in time.
     """
     time, angle = np.asarray(time, float), np.asarray(angle, float)
     interval = _uniform_interval(time)
-    if time.size < _FEWEST:
-        raise InputError(f"found an imposed angle of {time.size} samples, expected at least six")
-    spline = scipy.interpolate.make_interp_spline(time, angle, k=5)
-    states = np.column_stack([spline(time, nu) for nu in range(6)])
+    n = MOTION_DEGREE + 1
+    if time.size < n:
+        raise InputError(f"found an imposed angle of {time.size} samples, expected at least {n}")
+    # From where it begins: a posture's digits would be lost to its derivatives.
+    spline = scipy.interpolate.make_interp_spline(time, angle - angle[0], k=MOTION_DEGREE)
+    states = np.column_stack([spline(time, nu) for nu in range(n)])
+    states[:, 0] += angle[0]
     # A polynomial's derivatives chain into each other: phi' = w1, w1' = w2 and so on.
-    return Drive(interval, np.eye(6, k=1), np.eye(6)[:3], states, np.zeros(time.size))
+    return Drive(interval, np.eye(n, k=1), np.eye(n)[:3], states, np.zeros(time.size))
 
 
 PERTURBATIONS: dict[str, type[Perturbation]] = {

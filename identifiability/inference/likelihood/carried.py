@@ -8,7 +8,7 @@ import scipy.signal
 from identifiability.inference.likelihood.processes import Process
 from identifiability.measurement.perturbations import imposed_motion
 
-# A quintic spline's derivatives at a sample fall by 0.43 with every sample that another is away.
+# The derivatives of a spline of degree 7 fall by 0.54 with every sample that another is away.
 _REACH = 15
 _ROOM = 10
 # A joint without stiffness or damping has no stationary noise: a slow and hardly damped one has.

@@ -13,14 +13,15 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-import scipy.interpolate
+from scipy.interpolate import make_interp_spline
 from scipy.ndimage import maximum_filter1d
 
+from identifiability.measurement.perturbations import MOTION_DEGREE
 from identifiability.measurement.prepared import Prepared
 from identifiability.measurement.trials import Trial
 
 _SHARE = 1 / 3  # of what changes: errors fall with the square of the interval
-_FEWEST = 12  # samples of which every other one still makes a spline
+_FEWEST = 2 * (MOTION_DEGREE + 1)  # samples of which every other one still makes a spline
 _AROUND = 3  # compared samples to either side over which an error spreads
 _USUAL, _OFTEN = 2.0, 0.25  # times what changes in so many of the samples is noise at most
 
@@ -43,7 +44,7 @@ def left_out(trials: Sequence[Trial], first: int) -> list[Trial]:
         channels = []
         for values in (trial.torque, trial.angle):
             kept = slice(first, None, 2)
-            spline = scipy.interpolate.make_interp_spline(trial.time[kept], values[kept], k=5)
+            spline = make_interp_spline(trial.time[kept], values[kept], k=MOTION_DEGREE)
             inside = (trial.time >= trial.time[kept][0]) & (trial.time <= trial.time[kept][-1])
             channels.append(np.where(inside, spline(trial.time), values))
         out.append(replace(trial, torque=channels[0], angle=channels[1]))
