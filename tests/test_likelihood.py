@@ -19,6 +19,7 @@ from identifiability.inference.likelihood.estimate import (
     NoiseEstimate,
     Order,
     Stretch,
+    _Sample,
     contenders,
     estimate_noise,
 )
@@ -309,6 +310,36 @@ def test_the_colour_is_found(rho):
 
     np.testing.assert_allclose(density(noise.own), density(process), rtol=0.25)
     assert noise.converged
+
+
+def test_noise_is_sought_from_two_colours():
+    """From one alone the likeliest noise of what a poor model leaves is missed, here or there."""
+    rng = np.random.default_rng(1)
+    time = 0.002 * np.arange(400)
+    left = []
+    for length in rng.uniform(0.02, 0.2, 6):
+        push = rng.uniform(1, 3) * ((time > 0.1) & (time < 0.1 + length))
+        true, poor = (
+            signal.lsim(([1.0], [0.1, damping, stiffness]), push, time)[1]
+            for damping, stiffness in ((1.0, 30.0), (1.1, 33.0))
+        )
+        left.append(true - poor + 1e-5 * rng.standard_normal(400))
+    size = np.std(left)
+    stretches = [Stretch(one / size, np.zeros((400, 0)), i) for i, one in enumerate(left)]
+    came_in = carried.by_admittance(np.array([30.0, 1.0, 0.1]), 0.002)
+    came_in = replace(came_in, sd=1 / np.sqrt(came_in.autocovariance(0)[0]))
+    sample = _Sample(stretches, came_in)
+
+    def costs(order):
+        fits = [sample.fitted(order, one, restricted=False) for one in sample.starts(order)]
+        return [cost for _, cost, _ in fits]
+
+    nearly_white, coloured = costs(Order(2, 1, True))
+    assert nearly_white < coloured - 10
+    nearly_white, coloured = costs(Order(3, 3, True))
+    assert coloured < nearly_white - 100
+    best = sample.ranked([Contender(Order(2, 1, True)), Contender(Order(3, 3, True))])[0]
+    assert sample.cost(best.order, best.values, restricted=False) == pytest.approx(coloured)
 
 
 def test_restricted_likelihood_does_not_make_slow_noise_faster():

@@ -78,7 +78,10 @@ class NoisyFit:
 
 
 def fit_noisy(
-    problem: Problem, stretches: Sequence[Sequence[np.ndarray]], start: np.ndarray
+    problem: Problem,
+    stretches: Sequence[Sequence[np.ndarray]],
+    start: np.ndarray,
+    known: Sequence[float] = (),
 ) -> NoisyFit:
     """Fit a model and the noise of what it is compared with.
 
@@ -91,6 +94,9 @@ def fit_noisy(
         noise is correlated, between them it is not, and each has an unknown level.
     start : array, shape (n_free,)
         Such as the least squares estimate.
+    known : sequence of float
+        For each observation the white noise that its other channel has at least [rad or Nm]; none
+        is known of by default.
 
     Returns
     -------
@@ -106,6 +112,8 @@ def fit_noisy(
     which = tuple(rates.index(round(interval, 9)) for interval in intervals)
     trial = tuple(which[:i].count(w) for i, w in enumerate(which))
     carry = _carrier(problem)
+    squares = np.square(known) if known else np.zeros(len(which))
+    least = np.sqrt([np.mean(squares[np.equal(which, i)]) for i in range(len(rates))])
     counts = [
         sum(s.size for row, of_one in enumerate(stretches) if which[row] == i for s in of_one)
         for i in range(len(rates))
@@ -118,7 +126,7 @@ def fit_noisy(
     for rounds in range(1, _ROUNDS + 1):
         # The order is chosen at the start, among the best at two fits that it led to, then kept.
         asked = orders if rounds <= _CHOICES else [best[:1] for best in orders]
-        noises, orders = _noises(problem, stretches, x, which, trial, carry, asked)
+        noises, orders = _noises(problem, stretches, x, which, trial, carry, asked, least)
         joint = problem.complete(x)[:3]
         excess = excess_of(noises, counts, rates) if _angle_imposed(problem) else None
         colour = Colour(noises, which, trial, stretches, excess, joint)
@@ -170,6 +178,7 @@ def _noises(
     trial: Sequence[int],
     carry: Callable[[np.ndarray, float], Process],
     orders: Sequence[tuple[Contender, ...]],
+    least: np.ndarray,
 ) -> tuple[list[NoiseEstimate], list[tuple[Contender, ...]]]:
     rows = len(problem.observations)
     residuals = problem.residuals(x).reshape(rows, -1)
@@ -185,7 +194,7 @@ def _noises(
                 for samples in of_one
             ]
             interval = problem.observations[which.index(i)].drive.interval
-            found.append(estimate_noise(mine, carry(joint, interval), tried))
+            found.append(estimate_noise(mine, carry(joint, interval), tried, float(least[i])))
     return [noise for noise, _ in found], [best for _, best in found]
 
 

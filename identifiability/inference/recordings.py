@@ -17,7 +17,7 @@ from identifiability.inference.starts import first_guess, plain_values, starting
 from identifiability.inference.widths import Widths, widths
 from identifiability.joint.model import KBI, Model
 from identifiability.joint.scheme import LEAST, MOST, SHARE, Scheme
-from identifiability.measurement.filtering import Lowpass
+from identifiability.measurement.filtering import Lowpass, known_noise
 from identifiability.measurement.noise import Noise
 from identifiability.measurement.prepared import Prepared, prepare, prepare_whole_band
 from identifiability.measurement.splitting import Parts, Rule, hold_out
@@ -373,12 +373,13 @@ def fit_recordings(
         int, np.random.SeedSequence(seed).generate_state(1 + len(window_lengths))
     )
     pose = partial(recording_problem, model=model, prior=prior, refined=refined)
+    known = _angle_noise(trials, whole_band)
 
     def study(
         chosen: Sequence[Selection], same: Sequence[Selection], sampler_seed: int, referee: bool
     ) -> tuple[Problem, Fit, NoisyFit, Widths]:
         rough, best = best_fit(pose(prepared, chosen), guess, starts_seed)
-        noisy = _noisily(pose, whole_band, same, best)
+        noisy = _noisily(pose, whole_band, same, best, known)
         result = widths(
             noisy.problem,
             starts=noisy.fit.values[None],
@@ -449,7 +450,8 @@ def fit_with_noise(
     pose = partial(recording_problem, model=KBI(), prior=prior)
     guess = first_guess([p.trial for p in prepared], prior)
     _, best = best_fit(pose(prepared, [whole(p) for p in prepared]), guess, seed)
-    return _noisily(pose, whole_band, [whole(p) for p in whole_band], best)
+    known = _angle_noise(trials, whole_band)
+    return _noisily(pose, whole_band, [whole(p) for p in whole_band], best, known)
 
 
 def _ready(
@@ -462,15 +464,34 @@ def _ready(
     return prepared, prepare_whole_band(trials, lowpass_hz=lowpass_hz)
 
 
+def _angle_noise(trials: Sequence[Trial], whole_band: Sequence[Prepared]) -> list[float]:
+    """White noise [rad] that an imposed angle shows by itself, as far as it is compared, by trial.
+
+    It is told of all trials of one rate together.
+    """
+    if trials[0].driven == "torque":
+        return [0.0] * len(trials)
+    rates = [round(trial.sampling_rate, 6) for trial in trials]
+    shown = {
+        rate: known_noise([t for t, r in zip(trials, rates, strict=True) if r == rate])
+        for rate in set(rates)
+    }
+    return [
+        shown[rate] * float(np.sqrt(min(1.0, p.trial.sampling_rate / rate)))
+        for rate, p in zip(rates, whole_band, strict=True)
+    ]
+
+
 def _noisily(
     pose: Callable[..., Problem],
     whole_band: Sequence[Prepared],
     selections: Sequence[Selection],
     best: Fit,
+    known: Sequence[float],
 ) -> NoisyFit:
     plain = pose(whole_band, selections, noises=[Noise(1.0)] * len(whole_band))
     pieces = [selection.pieces for selection in selections]
-    return fit_noisy(plain.resolved(best.values), pieces, best.values)
+    return fit_noisy(plain.resolved(best.values), pieces, best.values, known)
 
 
 def _predictions(

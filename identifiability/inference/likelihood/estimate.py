@@ -33,7 +33,8 @@ _MOST_CORRELATED = 5.0  # bound of atanh of a partial autocorrelation
 # Of carried to own variance, to start from: where next to nothing is carried, more has no slope.
 _SHARES = np.geomspace(1e-2, 1e6, 5)
 _MOST_CARRIED = 10.0  # logarithm of carried over own, of deviations; least of it with a minus
-_HELD_ROUNDS, _AS_KNOWN = 6, 1.02  # of own beside held noise; times what there is of that
+_HELD_ROUNDS, _AS_KNOWN = 8, 1.02  # of own beside held noise; times what there is of that
+_LEAST_SLOPE = 0.1  # of what is held by its share of the own noise
 _SAME_DIRECTION = 1e-8  # length of a direction, over the longest, from which it is one
 _SHORTLIST = 3
 _NO_PROCESS = (np.ones(1), np.zeros(1))
@@ -329,10 +330,11 @@ class _Sample:
             spare = self.n_samples - order.size - 2
             if spare <= 0 or 4 * (order.p + order.q) > self.shortest:
                 continue
-            values = known if known.size else self.start(order)
-            if len(tried) == 1:
-                return [Contender(order, values)]
-            values, cost, _ = self.fitted(order, values, restricted=False)
+            starts = [known] if known.size else self.starts(order)
+            if len(tried) == len(starts) == 1:
+                return [Contender(order, starts[0])]
+            fits = [self.fitted(order, start, restricted=False) for start in starts]
+            values, cost, _ = min(fits, key=lambda fit: fit[1])
             criterion = 2 * cost + 2 * order.size * self.n_samples / spare
             if np.isfinite(criterion):
                 found.append((criterion, i, Contender(order, values)))
@@ -347,18 +349,29 @@ class _Sample:
         sd = self.carried.sd * np.exp(values[-1])
         return ProcessSum((own, Process(self.carried.ar, self.carried.ma, sd)))
 
-    def start(self, order: Order) -> np.ndarray:
-        """Values to start from (Hannan & Rissanen 1982, Biometrika 69:81-94)."""
-        if order.carried:
-            start = np.zeros(order.size)
-            start[: min(1, order.p)] = -0.5
-            costs = []
-            for share in _SHARES:
-                start[-1] = 0.5 * np.log(share)
-                costs.append(self.cost(order, start, restricted=False))
-            start[-1] = 0.5 * np.log(_SHARES[int(np.argmin(costs))])
-            return start
-        if not order.size:
+    def starts(self, order: Order) -> list[np.ndarray]:
+        """Values to start from.
+
+        With carried noise that is of two kinds, each in the best of some shares: an own noise that
+        is nearly white, and one of the colour of all that is left. From either alone many of the
+        likeliest noises are missed, some by hundreds of nats.
+        """
+        if not order.carried:
+            return [self._coloured(order)]
+        nearly_white = np.zeros(order.size - 1)
+        nearly_white[: min(1, order.p)] = -0.5
+        owns = [nearly_white, self._coloured(order)] if order.size > 1 else [nearly_white]
+        return [self._in_best_share(order, own) for own in owns]
+
+    def _in_best_share(self, order: Order, own: np.ndarray) -> np.ndarray:
+        """Values of an own noise, with as much of the carried one as is likeliest beside it."""
+        tried = [np.append(own, 0.5 * np.log(share)) for share in _SHARES]
+        costs = [self.cost(order, values, restricted=False) for values in tried]
+        return tried[int(np.argmin(costs))]
+
+    def _coloured(self, order: Order) -> np.ndarray:
+        """Own noise of the residuals' colour (Hannan & Rissanen 1982, Biometrika 69:81-94)."""
+        if not order.p + order.q:
             return np.zeros(0)
         p, q, m = order.p, order.q, max(order.p, order.q)
         rows, targets = [], []
@@ -436,17 +449,21 @@ class _Found:
 
     def with_carried(self, sd: float) -> _Found:
         """The most likely with so much carried noise."""
-        found = self
+        found, slope = self, 1.0
         for _ in range(_HELD_ROUNDS):
-            change = np.log(sd / found.carried_sd)
-            if abs(change) < np.log(_AS_KNOWN):
+            missing = np.log(sd / found.carried_sd)
+            if abs(missing) < np.log(_AS_KNOWN):
                 break
             # The share that it has of the own noise, which is less the more this one is.
-            last = np.clip(found.values[-1] + change, -_MOST_CARRIED, _MOST_CARRIED)
-            values, _, converged = self.sample.fitted(
-                self.order, np.append(found.values[:-1], last), restricted=True, held=True
-            )
+            last = found.values[-1] + missing / slope
+            start = np.append(found.values[:-1], np.clip(last, -_MOST_CARRIED, _MOST_CARRIED))
+            before = found.values[-1]
+            values, _, converged = self.sample.fitted(self.order, start, restricted=True, held=True)
             found = replace(found, values=values, converged=converged)
+            if (change := values[-1] - before) == 0:
+                break
+            gained = missing - np.log(sd / found.carried_sd)
+            slope = float(np.clip(gained / change, _LEAST_SLOPE, 1.0))
         return found
 
     def carried_error(self, least: float) -> float:

@@ -278,7 +278,8 @@ class _Search:
     def _refine(self, size: int) -> None:
         """Free the refining parameters of the best sets of a size."""
         found = self.weighing.found
-        of_size = [keys for keys in found if len(keys) == size]
+        # What has no richer form takes nobody's place.
+        of_size = [k for k, one in found.items() if len(k) == size and one.model.refinable(k)]
         ranked = sorted(of_size, key=lambda keys: -self.plain[keys])[:_REFINED]
         jobs: list[Job] = []
         for keys in ranked:
