@@ -72,9 +72,7 @@ def test_a_few_pieces_tell_how_much_noise_a_model_makes_of_an_angle(monkeypatch)
     found = []
     for most in (2048, 10**9):
         monkeypatch.setattr(band, "_MOST_PROBED", most)
-        # Beside what is not known between the samples an estimate of noise is not quite the best.
-        known = replace(band_of([noisy], []), changed=())
-        evaluator = replace(evaluator_of(known, JOINT), coarse=None)
+        evaluator = replace(evaluator_of(band_of([noisy], []), JOINT), coarse=None)
         one = evaluator.evaluate(KBI(), [JOINT], resolved=False)
         found.append((len(evaluator.reference.probes), one))
     (few, one), (every, other) = found

@@ -825,7 +825,12 @@ def test_sets_that_leave_the_same_are_weighed_by_the_same_noise(driven):
     evaluator = evaluator_for(trials_of(KBI(), START, noise=0.01, driven=driven))
     found = evaluator.evaluate(KBI(), [START])
     problem = evaluator.band.problem(KBI(), probes=evaluator.reference.probes)
-    astray = replace(found.weights, estimate=found.weights.estimate.louder(1.25))
+    estimate = found.weights.estimate
+    louder = {
+        name: part and replace(part, sd=1.25 * part.sd)
+        for name, part in (("own", estimate.own), ("carried", estimate.carried))
+    }
+    astray = replace(found.weights, estimate=replace(estimate, **louder))
     poor = evaluator.evaluated(problem, found.x, astray)
     assert found.log_evidence - 55 < poor.log_evidence < found.log_evidence - 2
     weighing = Weighing(evaluator, EFFECTS, found={(): found, ("gravity",): poor})

@@ -262,21 +262,3 @@ def whitened_without_level(
         for j in range(k):
             found[t, j] = white[t, j] - shares[j] * white[t, k]
     return found, np.sqrt(square)
-
-
-@compiled_loop
-def whitened_back(ar: np.ndarray, rows: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """The transpose of `whitened`, of one column, shape (n,)."""
-    n = values.size
-    head, width, last = ar.size - 1, rows.shape[1] - 1, len(rows) - 1
-    solved, found = np.empty(n), np.empty(n)
-    for t in range(n - 1, -1, -1):
-        value = values[t]
-        for lag in range(1, min(width, n - 1 - t) + 1):
-            value -= rows[min(t + lag, last), lag] * solved[t + lag]
-        solved[t] = value / rows[min(t, last), 0]
-        found[t] = solved[t]
-        for lag in range(1, min(head, n - 1 - t) + 1):
-            if t + lag >= head:
-                found[t] += ar[lag] * solved[t + lag]
-    return found

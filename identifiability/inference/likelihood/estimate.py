@@ -17,6 +17,7 @@ import numpy as np
 from scipy.signal import lfilter
 
 from identifiability.files import plain
+from identifiability.inference.likelihood.beside import Left, deviance, most_likely
 from identifiability.inference.likelihood.processes import Process, ProcessSum
 from identifiability.inference.likelihood.profiled import (
     Residuals,
@@ -33,6 +34,7 @@ _MOST_CORRELATED = 5.0  # bound of atanh of a partial autocorrelation
 # Of carried to own variance, to start from: where next to nothing is carried, more has no slope.
 _SHARES = np.geomspace(1e-2, 1e6, 5)
 _MOST_CARRIED = 10.0  # logarithm of carried over own, of deviations; least of it with a minus
+_MOST_LEVEL = 20.0  # logarithm of the own noise's level over the residual's, or its inverse
 _HELD_ROUNDS, _AS_KNOWN = 8, 1.02  # of own beside held noise; times what there is of that
 _LEAST_SLOPE = 0.1  # of what is held by its share of the own noise
 _SAME_DIRECTION = 1e-8  # length of a direction, over the longest, from which it is one
@@ -52,11 +54,26 @@ class Stretch:
         Derivatives of the prediction.
     trial : int
         Number of the trial it belongs to: trials may differ in level.
+    beside : array, shape (n,), or None
+        Variances of noise that is there as well, independent from sample to sample; all stretches
+        have it, or none.
     """
 
     residual: np.ndarray
     jacobian: np.ndarray
     trial: int
+    beside: np.ndarray | None = None
+
+    def over(self, factor: float, level: float = 1.0) -> Stretch:
+        """The residual in another unit, or what it is at level 1."""
+        beside = None if self.beside is None else self.beside / (factor * level) ** 2
+        return Stretch(self.residual / (factor * level), self.jacobian / level, self.trial, beside)
+
+    def part(self, first: int, last: int) -> Stretch:
+        """Samples from the first to before the last."""
+        chosen = slice(first, last)
+        beside = None if self.beside is None else self.beside[chosen]
+        return Stretch(self.residual[chosen], self.jacobian[chosen], self.trial, beside)
 
 
 @dataclass(frozen=True)
@@ -74,7 +91,11 @@ class Order:
 
 
 class Contender(NamedTuple):
-    """An order that is tried, and the optimiser's values to start from; none known without."""
+    """An order that is tried, and the optimiser's values to start from; none known without.
+
+    Partial autocorrelations; beside noise of known size the logarithm of the own noise's level;
+    that of the carried one's, elsewhere over the own.
+    """
 
     order: Order
     values: np.ndarray = np.empty(0)
@@ -127,14 +148,6 @@ class NoiseEstimate:
     def carried_sd(self) -> float:
         """Standard deviation of the other channel's noise [Nm or rad] at level 1; 0 without."""
         return 0.0 if self.carried is None else self.carried.sd
-
-    def louder(self, factor: float) -> NoiseEstimate:
-        """The same noise, so many times larger."""
-        own = replace(self.own, sd=factor * self.own.sd)
-        carried = self.carried
-        if carried is not None:
-            carried = replace(carried, sd=factor * carried.sd)
-        return replace(self, own=own, carried=carried, rms=factor * self.rms)
 
     def to_dict(self) -> dict[str, Any]:
         """Plain record, for JSON."""
@@ -193,7 +206,7 @@ def estimate_noise(
         # A perfect fit: any level will do that is far below what a computer resolves.
         quiet = Process(np.ones(1), np.ones(1), 1e-12)
         return NoiseEstimate(quiet, None, np.ones(trials), 0.0, 0, True), tuple(tried)
-    scaled = [Stretch(s.residual / scale, s.jacobian, s.trial) for s in stretches]
+    scaled = [s.over(float(scale)) for s in stretches]
     unit = 1.0
     if carried is not None:
         unit = 1.0 / carried.sd
@@ -209,10 +222,7 @@ def estimate_noise(
         differing = _levels(scaled, chosen.noise(order, values), trials)
         if differing is not None:
             levels = differing
-            scaled = [
-                Stretch(s.residual / levels[s.trial], s.jacobian / levels[s.trial], s.trial)
-                for s in scaled
-            ]
+            scaled = [s.over(1.0, float(levels[s.trial])) for s in scaled]
             chosen = _Sample(_budget(scaled), carried)
             values, _, converged = chosen.fitted(order, values, restricted=True)
     found = _Found(chosen, scaled, order, values, converged)
@@ -263,7 +273,7 @@ def _budget(stretches: Sequence[Stretch]) -> list[Stretch]:
     for s in stretches:
         n = -(-s.residual.size // _CHUNK)
         ends = np.linspace(0, s.residual.size, n + 1).astype(int)
-        pieces += [Stretch(s.residual[a:b], s.jacobian[a:b], s.trial) for a, b in pairwise(ends)]
+        pieces += [s.part(a, b) for a, b in pairwise(ends)]
     kept = max(1, len(pieces) * _MOST_SAMPLES // sum(p.residual.size for p in pieces))
     return [pieces[i] for i in np.unique(np.linspace(0, len(pieces) - 1, kept).astype(int))]
 
@@ -291,9 +301,10 @@ def _whitened_squares(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Sums of squared whitened residuals by trial, and the samples they are worth."""
     squares, counts = np.zeros(n), np.zeros(n)
-    whitening = noise.whitening(max(s.residual.size for s in stretches))
+    alike = noise.whitening(max(s.residual.size for s in stretches))
     for s in stretches:
-        white, _ = whitening.without_level(s.residual[:, None])
+        own = alike if s.beside is None else noise.whitening(s.residual.size, s.beside)
+        white, _ = own.without_level(s.residual[:, None])
         squares[s.trial] += np.sum(white**2)
         counts[s.trial] += len(white) - 1
     return squares, counts
@@ -314,6 +325,8 @@ class _Sample:
             derivatives = [s.jacobian @ basis for s in those]
             both.append(np.column_stack([residuals[-1], *derivatives]))
             numbers.append(len(those))
+        self._stretches, self._basis = stretches, basis
+        self.has_beside = stretches[0].beside is not None
         self._residuals = np.concatenate([one.ravel() for one in residuals])
         self._both = np.concatenate([one.ravel() for one in both])
         self._lengths, self._numbers = np.array(lengths), np.array(numbers)
@@ -330,7 +343,7 @@ class _Sample:
             spare = self.n_samples - order.size - 2
             if spare <= 0 or 4 * (order.p + order.q) > self.shortest:
                 continue
-            starts = [known] if known.size else self.starts(order)
+            starts = [self._started(order, known)] if known.size else self.starts(order)
             if len(tried) == len(starts) == 1:
                 return [Contender(order, starts[0])]
             fits = [self.fitted(order, start, restricted=False) for start in starts]
@@ -341,9 +354,13 @@ class _Sample:
         return [contender for _, _, contender in sorted(found, key=lambda f: f[:2])]
 
     def noise(self, order: Order, values: np.ndarray) -> ProcessSum:
-        """The noise that the optimiser's values stand for, its own innovations of variance 1."""
+        """The noise that the optimiser's values stand for, its own innovations of variance 1.
+
+        Beside noise of known size, at its level.
+        """
         partial = np.tanh(values[: order.p + order.q])
-        own = Process(polynomial(partial[: order.p]), polynomial(partial[order.p :]))
+        level = float(np.exp(values[order.p + order.q])) if self.has_beside else 1.0
+        own = Process(polynomial(partial[: order.p]), polynomial(partial[order.p :]), level)
         if not order.carried or self.carried is None:
             return ProcessSum((own,))
         sd = self.carried.sd * np.exp(values[-1])
@@ -357,7 +374,7 @@ class _Sample:
         likeliest noises are missed, some by hundreds of nats.
         """
         if not order.carried:
-            return [self._coloured(order)]
+            return [self._started(order, self._coloured(order))]
         nearly_white = np.zeros(order.size - 1)
         nearly_white[: min(1, order.p)] = -0.5
         owns = [nearly_white, self._coloured(order)] if order.size > 1 else [nearly_white]
@@ -365,9 +382,25 @@ class _Sample:
 
     def _in_best_share(self, order: Order, own: np.ndarray) -> np.ndarray:
         """Values of an own noise, with as much of the carried one as is likeliest beside it."""
-        tried = [np.append(own, 0.5 * np.log(share)) for share in _SHARES]
+        tried = [self._started(order, np.append(own, 0.5 * np.log(s))) for s in _SHARES]
         costs = [self.cost(order, values, restricted=False) for values in tried]
         return tried[int(np.argmin(costs))]
+
+    def _started(self, order: Order, values: np.ndarray) -> np.ndarray:
+        """Values with a level of the own noise where it is sought, and without where it is not."""
+        at = order.p + order.q
+        if values.size == order.size + self.has_beside:
+            return values
+        if not self.has_beside:
+            found = np.delete(values, at)
+            found[-1:] -= order.carried * values[at]
+            return found
+        with_level = np.insert(values, at, 0.0)
+        noise = self.noise(order, with_level)
+        variance = sum(float(part.autocovariance(0)[0]) for part in noise.parts)
+        # That of the residual is 1; what is carried is no longer a share of the own noise.
+        with_level[at:] -= 0.5 * np.log(variance)
+        return with_level
 
     def _coloured(self, order: Order) -> np.ndarray:
         """Own noise of the residuals' colour (Hannan & Rissanen 1982, Biometrika 69:81-94)."""
@@ -385,8 +418,13 @@ class _Sample:
         return np.asarray(np.arctanh(partial))
 
     def cost(self, order: Order, values: np.ndarray, *, restricted: bool) -> float:
-        """Minus the log likelihood, the level of the noise and those of stretches profiled out."""
+        """Minus the log likelihood, the level of the noise and those of stretches profiled out.
+
+        Beside noise of known size the noise's level is one of the values.
+        """
         try:
+            if self.has_beside:
+                return 0.5 * float(deviance(values, self._left_beside(order, restricted)))
             scaled, freedom = scaled_residuals(values, self._left(order, restricted))
         except np.linalg.LinAlgError:
             return np.inf
@@ -394,11 +432,30 @@ class _Sample:
 
     def _left(self, order: Order, restricted: bool) -> Residuals:
         """The residuals, with what a fit took out of them where that counts."""
-        carried = _NO_PROCESS
-        if order.carried and self.carried is not None:
-            carried = self.carried.ar, self.carried.sd * self.carried.ma
         columns, k = (self._both, self.k) if restricted else (self._residuals, 0)
+        carried = self._carried(order)
         return Residuals(order.p, order.q, carried, columns, self._lengths, self._numbers, k)
+
+    def _left_beside(self, order: Order, restricted: bool) -> Left:
+        """The same beside noise of known size."""
+        columns, lengths, variances = self._beside
+        k = self.k if restricted else 0
+        carried = self._carried(order)
+        return Left(order.p, order.q, carried, columns[k > 0], lengths, variances, k)
+
+    def _carried(self, order: Order) -> tuple[np.ndarray, np.ndarray]:
+        if not order.carried or self.carried is None:
+            return _NO_PROCESS
+        return self.carried.ar, self.carried.sd * self.carried.ma
+
+    @cached_property
+    def _beside(self) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray, np.ndarray]:
+        """Residuals alone and with what a fit took out of them, lengths, and the noise beside."""
+        alone = np.concatenate([s.residual for s in self._stretches])
+        both = [np.column_stack([s.residual, s.jacobian @ self._basis]) for s in self._stretches]
+        lengths = np.array([s.residual.size for s in self._stretches])
+        known = np.concatenate([np.asarray(s.beside, float) for s in self._stretches])
+        return (alone, np.concatenate([one.ravel() for one in both])), lengths, known
 
     def fitted(
         self, order: Order, start: np.ndarray, *, restricted: bool, held: bool = False
@@ -407,16 +464,21 @@ class _Sample:
 
         With the share of the carried noise `held` where it is.
         """
-        n_free = order.size - held
+        n = order.size + self.has_beside
+        n_free = n - held
         if not n_free:
             return start, self.cost(order, start, restricted=restricted), True
-        lower = np.full(order.size, -_MOST_CORRELATED)
-        upper = -lower
+        lower = np.full(n, -_MOST_CORRELATED)
+        if self.has_beside:
+            lower[order.p + order.q] = -_MOST_LEVEL
         if order.carried:
-            lower[-1], upper[-1] = -_MOST_CARRIED, _MOST_CARRIED
-        left = self._left(order, restricted)
+            lower[-1] = -_MOST_LEVEL if self.has_beside else -_MOST_CARRIED
+        bounds = lower[:n_free], -lower[:n_free]
         try:
-            best, ended = least_squares(start, left, lower[:n_free], upper[:n_free])
+            if self.has_beside:
+                best, ended = most_likely(start, self._left_beside(order, restricted), *bounds)
+            else:
+                best, ended = least_squares(start, self._left(order, restricted), *bounds)
         except np.linalg.LinAlgError:
             return start, np.inf, False
         return best, self.cost(order, best, restricted=restricted), bool(ended)
@@ -440,6 +502,8 @@ class _Found:
     @cached_property
     def sd(self) -> float:
         """What multiplies `noise`."""
+        if self.sample.has_beside:
+            return 1.0
         return float(np.sqrt(_variance(self.stretches, self.noise, self.sample.k)))
 
     @property
@@ -454,9 +518,10 @@ class _Found:
             missing = np.log(sd / found.carried_sd)
             if abs(missing) < np.log(_AS_KNOWN):
                 break
-            # The share that it has of the own noise, which is less the more this one is.
+            # Its share of the own noise, which is less the more this one is.
             last = found.values[-1] + missing / slope
-            start = np.append(found.values[:-1], np.clip(last, -_MOST_CARRIED, _MOST_CARRIED))
+            most = _MOST_LEVEL if self.sample.has_beside else _MOST_CARRIED
+            start = np.append(found.values[:-1], np.clip(last, -most, most))
             before = found.values[-1]
             values, _, converged = self.sample.fitted(self.order, start, restricted=True, held=True)
             found = replace(found, values=values, converged=converged)

@@ -120,10 +120,6 @@ class Whitening:
         found = banded.whitened_without_level(self.ar, self.factor, columns)
         return found
 
-    def back(self, white: np.ndarray) -> np.ndarray:
-        """The transpose of what whitens, applied to one whitened stretch, shape (n,)."""
-        return banded.whitened_back(self.ar, self.factor, np.ascontiguousarray(white, float))
-
     def rows(self, n: int) -> np.ndarray:
         """The factor's rows of `n` samples, shape (n, w + 1)."""
         return self.factor[np.minimum(np.arange(n), len(self.factor) - 1)]

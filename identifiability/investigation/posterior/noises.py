@@ -119,18 +119,6 @@ class Weights:
             out.append(noise)
         return out
 
-    def freed(self, by_stretch: Sequence[np.ndarray]) -> list[np.ndarray]:
-        """Residuals without what is expected to be what is not known between the samples."""
-        out = []
-        for whitening, raw, extra, trial in zip(
-            self._whitenings, by_stretch, self.between, self.band.trial, strict=True
-        ):
-            level = self.estimate.levels[trial]
-            centred = (raw[:, 0] - np.median(raw[:, 0])) / level
-            back = whitening.back(whitening(centred[:, None])[:, 0])
-            out.append(raw[:, 0] - extra / level * back)
-        return out
-
 
 def raw_residuals(
     problem: Problem, band: Band, x: np.ndarray
@@ -343,10 +331,7 @@ class Reference:
             Noise of the same record, of which it is known how well the carried part's size is.
         """
         with_error = self.band.angle_imposed and like is None
-        if self.between:
-            weights = self._beside_between(raw, tried, with_error)
-        else:
-            weights = self._estimated(raw, [columns[:, 0] for columns in raw], tried, with_error)
+        weights = self._estimated(raw, tried, with_error)
         if like is not None:
             known = replace(weights.estimate, carried_error=like.estimate.carried_error)
             weights = replace(weights, estimate=known)
@@ -375,44 +360,17 @@ class Reference:
         return replace(weights, band=self.band, excess=excess, between=self.between)
 
     def _estimated(
-        self,
-        raw: Sequence[np.ndarray],
-        residuals: Sequence[np.ndarray],
-        tried: Sequence[Contender],
-        with_error: bool = False,
-    ) -> Weights:
-        """Noise of residuals of a model with these derivatives."""
-        stretches = [
-            Stretch(residual, columns[:, 1:], int(trial))
-            for residual, columns, trial in zip(residuals, raw, self.band.trial, strict=True)
-        ]
-        estimate, best = estimate_noise(
-            stretches,
-            self.carried,
-            tried,
-            self.band.angle_noise,
-            with_error=with_error,
-        )
-        return Weights(self.band, estimate, best)
-
-    def _beside_between(
         self, raw: Sequence[np.ndarray], tried: Sequence[Contender], with_error: bool
     ) -> Weights:
-        """Noise of a residual beside what is not known between the samples.
-
-        Of this the expected share is taken out of the residual, at first as if the noise were
-        white, then by its colour; what is left is smaller by so many samples.
-        """
-        centred = [columns[:, 0] - np.median(columns[:, 0]) for columns in raw]
-        clear = np.concatenate([c[e == 0] for c, e in zip(centred, self.between, strict=True)])
-        usual = max(float(np.mean(clear**2)), 1e-300)
-        shares = [usual / (usual + extra) for extra in self.between]
-        left = [share * one for share, one in zip(shares, centred, strict=True)]
-        short = np.sqrt(sum(s.size for s in shares) / sum(float(s.sum()) for s in shares))
-        first = self._estimated(raw, left, tried)
-        first = replace(first, estimate=first.estimate.louder(short), between=self.between)
-        weights = self._estimated(raw, first.freed(raw), first.contenders[:1], with_error)
-        return replace(weights, estimate=weights.estimate.louder(short), between=self.between)
+        between = self.between if self.between else [None] * len(raw)
+        stretches = [
+            Stretch(columns[:, 0], columns[:, 1:], int(trial), beside)
+            for columns, trial, beside in zip(raw, self.band.trial, between, strict=True)
+        ]
+        estimate, best = estimate_noise(
+            stretches, self.carried, tried, self.band.angle_noise, with_error=with_error
+        )
+        return Weights(self.band, estimate, best, between=self.between)
 
     @cached_property
     def between(self) -> list[np.ndarray]:
