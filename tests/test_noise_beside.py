@@ -106,7 +106,7 @@ def test_what_is_found_is_most_likely(held):
     assert ended
     np.testing.assert_array_equal(found[n_free:], start[n_free:])
     assert deviance(start, left) - deviance(found, left) > 10
-    assert dense(found, stretches, 2) == pytest.approx(best.fun, abs=0.02)
+    assert dense(found, stretches, 2) < best.fun + 0.02
 
 
 def test_a_known_part_is_held_at_its_size_and_the_rest_is_most_likely():
