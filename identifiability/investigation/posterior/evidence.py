@@ -397,8 +397,7 @@ class Evaluator:
         """A model with its noise sought from another's, or that as it is, where that is better.
 
         Two that leave the same must not be told apart by where the noise of each was sought from,
-        nor by how near the likeliest noise it ended: beside what is not known between the samples
-        an estimate is not quite that.
+        nor by which of the likeliest noises it ended in.
         """
         contender = noise.contenders[0]
         here = max(

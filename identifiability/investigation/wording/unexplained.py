@@ -11,7 +11,7 @@ KINDS = {
     "static": "a torque of the present angle and velocity",
     "hysteresis": "a torque like dry friction",
     "memory": "a torque of the past motion",
-    "unrepeatable": "a torque that differs from trial to trial",
+    "unrepeatable": "a torque that no one function of the motion makes",
 }
 """Kinds of what may be missing, in words."""
 
@@ -25,7 +25,8 @@ _IT = {
     ),
     "memory": "behaves like a torque that depends on the past motion",
     "unrepeatable": (
-        "is a torque that differs from trial to trial: no one function of the motion makes it"
+        "is a torque that no one function of the motion makes: it differs from trial to trial, or "
+        "changes with time"
     ),
 }
 _MAINLY = {

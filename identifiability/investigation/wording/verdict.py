@@ -20,7 +20,7 @@ TITLES = {
     "unknown_static": "An unknown effect of the present state",
     "unknown_memory": "An unknown effect with memory",
     "measurement": "The measurement",
-    "unrepeatable": "Not repeatable",
+    "unrepeatable": "Not of the motion alone",
     "nothing_missing": "Nothing missing",
     "undecided": "Not decided",
 }
