@@ -7,8 +7,10 @@ import pytest
 from constructed import probabilities
 
 from identifiability.inference.conditional import one_by_one
+from identifiability.investigation.fits import widths as fits_widths
 from identifiability.investigation.fits.bench import Workbench
 from identifiability.investigation.fits.candidate import unfitted
+from identifiability.investigation.investigate import investigate
 from identifiability.investigation.session import Investigation
 from identifiability.joint.effects import EFFECTS
 from identifiability.joint.model import KBI
@@ -137,6 +139,17 @@ def test_half_the_step_is_as_likely():
         other = Workbench(replace(bench.split, rules=rules))
         moved[limit] = moved_by_half_the_step(other, other.fit(free.model, [free.values]))
     assert moved[0.02] < 0.02 < moved[np.inf]
+
+
+@pytest.mark.parametrize("driven", ["torque", "angle"])
+def test_widths_of_too_long_a_record_are_refused_and_the_rest_goes_on(driven, monkeypatch):
+    data = trials(KBI(), JOINT, driven)
+    monkeypatch.setattr(fits_widths, "_MOST_WORK", 100)
+    found = investigate(data[:1], data[1:], library={}, most=0)
+    assert found.widths is None
+    assert "too many to profile and to sample 3 parameters" in found.failures["widths"]
+    assert set(found.failures) == {"widths"}
+    assert found.verdict.kind == "nothing_missing"
 
 
 @pytest.mark.parametrize("driven", ["torque", "angle"])

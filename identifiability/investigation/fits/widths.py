@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from identifiability.errors import InputError
 from identifiability.inference.problem import Problem
 from identifiability.inference.widths import Widths, widths
 from identifiability.investigation.fits.bench import Workbench
@@ -13,6 +14,10 @@ from identifiability.investigation.fits.candidate import Candidate
 from identifiability.investigation.pieces import owners
 from identifiability.joint.scheme import Scheme
 from identifiability.measurement.noise import correlation_time
+
+_MOST_WORK = 3e6
+"""Compared samples times parameters, and these once more for their derivatives, up to which widths
+are profiled and sampled."""
 
 
 def parameter_widths(bench: Workbench, candidate: Candidate, *, seed: int = 1) -> Widths:
@@ -25,11 +30,22 @@ def parameter_widths(bench: Workbench, candidate: Candidate, *, seed: int = 1) -
     bench : Workbench
     candidate : Candidate
     seed : int
+
+    Raises
+    ------
+    InputError
+        Where a record is too long for them.
     """
     split = bench.split
     problem = bench.problem(
         candidate.model, split.fitted, refined=candidate.refined, scheme=candidate.scheme
     )
+    samples = sum(int(np.count_nonzero(o.scale > 0)) for o in problem.observations)
+    if samples * len(problem.names) ** 2 > _MOST_WORK:
+        raise InputError(
+            f"{samples} samples are too many to profile and to sample {len(problem.names)} "
+            "parameters; the standard deviations that are given are those of the curvature"
+        )
     noises = [
         float(np.sqrt(np.mean(left**2) * correlation_time(left - left.mean())))
         for left in candidate.fitted.by_trial
