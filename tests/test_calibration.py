@@ -54,7 +54,7 @@ def test_what_is_written_quotes_the_record(record, page):
     scores = [one for run in fresh for one in run["scores"]]
     named, right = (sum(run["claims"][part] for run in fresh) for part in ("n", "right"))
     seeds = " and ".join(str(run["seed"]) for run in fresh)
-    assert f"seeds {seeds} that nobody had worked on" in text
+    assert f"seed{'s' * (len(fresh) > 1)} {seeds} that nobody had worked on" in text
     assert f"named effects in {named} of {len(scores)} cases, {right} of them rightly" in text
     low, high = wilson(right, named)
     assert f"{100 * low:.0f} to {100 * high:.0f} %" in text
