@@ -78,8 +78,10 @@ def whitened_beside(values: np.ndarray, left: Left) -> tuple[np.ndarray, np.ndar
     came_in = (carried[0], factor_of_carried / level * carried[1])
     information, rest, done = np.zeros((k, k)), 0.0, 0
     for n in lengths:
-        here = slice(done, done + n)
-        ar, rows = covariance((own, came_in), n, variances[here] / level**2)
+        known = variances[done : done + n]
+        # Where there is none its factor repeats itself.
+        known = known[:0] if known.max() == 0 else known / level**2
+        ar, rows = covariance((own, came_in), n, known)
         triangle = factor(rows, n)
         if len(triangle) == 0:
             return np.full(total, np.inf), diagonal, rest

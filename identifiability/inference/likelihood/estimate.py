@@ -337,7 +337,15 @@ class _Sample:
         self._centred = centred
 
     def ranked(self, tried: Sequence[Contender]) -> list[Contender]:
-        """Contenders with the values of their best fit, the best by AICc first."""
+        """Contenders with the values of their best fit, the best by AICc first.
+
+        Beside noise of known size those without values are ranked roughly first.
+        """
+        if self.has_beside and any(not one.values.size for one in tried):
+            fresh = [one for one in tried if not one.values.size]
+            rough = self._without_beside.ranked(fresh)[:_SHORTLIST]
+            others = [one for one in tried if one.values.size]
+            tried = [*others, *(Contender(o, self._started(o, v)) for o, v in rough)]
         found = []
         for i, (order, known) in enumerate(tried):
             spare = self.n_samples - order.size - 2
@@ -365,6 +373,21 @@ class _Sample:
             return ProcessSum((own,))
         sd = self.carried.sd * np.exp(values[-1])
         return ProcessSum((own, Process(self.carried.ar, self.carried.ma, sd)))
+
+    @cached_property
+    def _without_beside(self) -> _Sample:
+        """The same without noise of known size, its expected share taken out of the residuals."""
+        known = [np.asarray(s.beside, float) for s in self._stretches]
+        pairs = list(zip(self._centred, known, strict=True))
+        clear = np.concatenate([c[v == 0] for c, v in pairs])
+        usual = max(float(np.mean(clear**2)), 1e-300) if clear.size else 1.0
+        return _Sample(
+            [
+                Stretch(c * usual / (usual + v), s.jacobian, s.trial)
+                for s, (c, v) in zip(self._stretches, pairs, strict=True)
+            ],
+            self.carried,
+        )
 
     def starts(self, order: Order) -> list[np.ndarray]:
         """Values to start from.
