@@ -65,6 +65,7 @@ def test_noise_and_fit_go_on_in_turn_until_that_brings_nothing_more():
     assert abs(all_of_them.values["K"] - JOINT["K"]) < 0.1 * off
 
 
+@pytest.mark.long
 def test_a_few_pieces_tell_how_much_noise_a_model_makes_of_an_angle(monkeypatch):
     trial, _ = long_record("angle", smoothing=(21, 11))
     noise = 3e-4 * np.random.default_rng(3).standard_normal(trial.angle.size)
