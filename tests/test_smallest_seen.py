@@ -88,7 +88,7 @@ def test_corners_count_as_far_as_the_compared_band_goes():
     values = hidden.values(0.18)
     study = study_of(KBI() + EFFECTS[key](), values, 100, {key: EFFECTS[key]}, "angle")
     there = study.weigh().of([key])
-    assert abs(gain - np.log(there / (1 - there) * 0.05 / 0.95)) < 10
+    assert abs(gain - np.log(there / (1 - there) * 0.05 / 0.95)) < 8
 
 
 @pytest.mark.parametrize("driven", ["torque", "angle"])
