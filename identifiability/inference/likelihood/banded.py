@@ -262,3 +262,12 @@ def whitened_without_level(
         for j in range(k):
             found[t, j] = white[t, j] - shares[j] * white[t, k]
     return found, np.sqrt(square)
+
+
+@compiled_loop
+def log_determinant_of(lower: np.ndarray) -> float:
+    """Of a symmetric matrix, of which the lower triangle is given; the upper one is filled in."""
+    for a in range(len(lower)):
+        for b in range(a):
+            lower[b, a] = lower[a, b]
+    return np.linalg.slogdet(lower)[1]

@@ -13,14 +13,20 @@ import numpy as np
 from identifiability.inference.likelihood.banded import (
     covariance,
     factor,
+    log_determinant_of,
     whitened_without_level,
 )
-from identifiability.inference.likelihood.profiled import polynomial, within
+from identifiability.inference.likelihood.profiled import polynomial
+from identifiability.inference.likelihood.trust_region import (
+    RADIUS,
+    TRIALS,
+    clipped,
+    nearby,
+    next_radius,
+    stepped,
+)
 from identifiability.loops import compiled_loop
 
-_STEP = 1e-5  # of differences
-_TRIALS = 60
-_RADIUS = 0.5  # of the first step
 _LEAST_GAIN = 2e-3  # of minus twice the log likelihood, that a step must promise
 
 
@@ -96,10 +102,7 @@ def whitened_beside(values: np.ndarray, left: Left) -> tuple[np.ndarray, np.ndar
         rest += 2 * np.log(length / level)
         done += n
     if k:
-        for a in range(k):
-            for b in range(a):
-                information[b, a] = information[a, b]
-        rest += np.linalg.slogdet(information)[1]
+        rest += log_determinant_of(information)
     if not np.isfinite(rest):
         return np.full(total, np.inf), diagonal, rest
     return found, diagonal, rest
@@ -113,13 +116,47 @@ def deviance(values: np.ndarray, left: Left) -> float:
 
 
 @compiled_loop
+def change_beside(
+    values: np.ndarray, white: np.ndarray, diagonal: np.ndarray, rest: float, left: Left, n: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Gradient of half the deviance by the first values, and its curvature as it is expected.
+
+    That is known from first derivatives: those of the whitened residuals, and of the logarithms of
+    the diagonal.
+
+    Parameters
+    ----------
+    values : array
+    white, diagonal, rest
+        What `whitened_beside` gives there.
+    left : Left
+    n : int
+        How many of the values are free, from the first.
+
+    Returns
+    -------
+    array, shape (n,)
+    array, shape (n, n)
+    """
+    gradient, changes = np.zeros(n), np.zeros((n, 2 * white.size))
+    for i in range(n):
+        moved = nearby(values, i)
+        there, its_diagonal, its_rest = whitened_beside(moved, left)
+        step = moved[i] - values[i]
+        if np.isfinite(there[0]):
+            changes[i, : white.size] = (there - white) / step
+            changes[i, white.size :] = (its_diagonal - diagonal) / step
+            gradient[i] = 0.5 * (its_rest - rest) / step
+        gradient[i] += changes[i, : white.size] @ white
+        gradient[i] += np.sum(changes[i, white.size :])
+    return gradient, changes @ changes.T
+
+
+@compiled_loop
 def most_likely(
     start: np.ndarray, left: Left, lower: np.ndarray, upper: np.ndarray
 ) -> tuple[np.ndarray, bool]:
     """Values of the least deviance, by scoring within a radius.
-
-    The curvature that is expected of it is known from first derivatives: those of the whitened
-    residuals, and of the logarithms of the diagonal.
 
     Parameters
     ----------
@@ -135,47 +172,21 @@ def most_likely(
         Whether it ended by itself.
     """
     n_free = lower.size
-    values = start.copy()
-    values[:n_free] = np.minimum(np.maximum(start[:n_free], lower), upper)
+    values = clipped(start, lower, upper)
     white, diagonal, rest = whitened_beside(values, left)
-    least = np.sum(white**2) + 2 * np.sum(diagonal) + rest
+    least, radius = np.sum(white**2) + 2 * np.sum(diagonal) + rest, RADIUS
     if not np.isfinite(least):
         return values, False
-    radius, moves = _RADIUS, True
-    gradient, products = np.zeros(n_free), np.zeros((n_free, n_free))
-    for _ in range(_TRIALS):
-        if moves:
-            changes = np.zeros((n_free, 2 * white.size))
-            for i in range(n_free):
-                moved = values.copy()
-                moved[i] += _STEP if values[i] < 0 else -_STEP  # towards 0, away from bounds
-                there, its_diagonal, its_rest = whitened_beside(moved, left)
-                step = moved[i] - values[i]
-                gradient[i] = 0.0
-                if np.isfinite(there[0]):
-                    changes[i, : white.size] = (there - white) / step
-                    changes[i, white.size :] = (its_diagonal - diagonal) / step
-                    gradient[i] = 0.5 * (its_rest - rest) / step
-                gradient[i] += changes[i, : white.size] @ white
-                gradient[i] += np.sum(changes[i, white.size :])
-            products = changes @ changes.T
-        outside = np.where(gradient > 0, values[:n_free] <= lower, values[:n_free] >= upper)
-        step_taken = within(gradient, products, outside, radius)
-        moved = values.copy()
-        moved[:n_free] = np.minimum(np.maximum(values[:n_free] + step_taken, lower), upper)
-        taken = moved[:n_free] - values[:n_free]
-        promised = -2 * (gradient @ taken) - taken @ products @ taken
+    gradient, products = change_beside(values, white, diagonal, rest, left, n_free)
+    for _ in range(TRIALS):
+        moved, promised, length = stepped(values, gradient, products, lower, upper, radius)
         if promised <= _LEAST_GAIN:
             return values, True
         there, its_diagonal, its_rest = whitened_beside(moved, left)
         gained = least - (np.sum(there**2) + 2 * np.sum(its_diagonal) + its_rest)
-        length = np.sqrt(np.sum(step_taken**2))
-        if not gained > 0.25 * promised:
-            radius = 0.25 * length
-        elif gained > 0.75 * promised and length > 0.95 * radius:
-            radius *= 2.0
-        moves = gained > 0
-        if moves:
+        radius = next_radius(radius, gained, promised, length)
+        if gained > 0:
             values, white, diagonal, rest = moved, there, its_diagonal, its_rest
             least -= gained
+            gradient, products = change_beside(values, white, diagonal, rest, left, n_free)
     return values, False

@@ -13,16 +13,20 @@ import numpy as np
 from identifiability.inference.likelihood.banded import (
     covariance,
     factor,
+    log_determinant_of,
     whitened_without_level,
+)
+from identifiability.inference.likelihood.trust_region import (
+    RADIUS,
+    TRIALS,
+    clipped,
+    nearby,
+    next_radius,
+    stepped,
 )
 from identifiability.loops import compiled_loop
 
-_STEP = 1e-5  # of differences
-_TRIALS = 60
-_RADIUS = 0.5  # of the first step
 _LEAST_GAIN = 3e-6  # of the squares, that a step must promise: half a thousandth of a sample
-_BISECTIONS = 30
-_DEPENDENT = 1e-13  # of the largest slope, squared, below which there is none
 
 
 @compiled_loop
@@ -113,10 +117,7 @@ def scaled_residuals(values: np.ndarray, left: Residuals) -> tuple[np.ndarray, i
         freedom += m * (n - 1)
         start, done = start + size, done + n * m
     if k:
-        for a in range(k):
-            for b in range(a):
-                information[b, a] = information[a, b]
-        log_determinant += np.linalg.slogdet(information)[1]
+        log_determinant += log_determinant_of(information)
         freedom -= k
     if not np.isfinite(log_determinant):
         return np.full(total, np.inf), total
@@ -145,8 +146,7 @@ def change_of(
     """
     change = np.zeros((n_free, here.size))
     for i in range(n_free):
-        moved = values.copy()
-        moved[i] += _STEP if values[i] < 0 else -_STEP  # towards 0, away from bounds
+        moved = nearby(values, i)
         there, _ = scaled_residuals(moved, left)
         if np.isfinite(there[0]):
             change[i] = (there - here) / (moved[i] - values[i])
@@ -158,10 +158,6 @@ def least_squares(
     start: np.ndarray, left: Residuals, lower: np.ndarray, upper: np.ndarray
 ) -> tuple[np.ndarray, bool]:
     """Values of the least sum of squares of `scaled_residuals`, by Levenberg and Marquardt.
-
-    Values at a bound are left there while the squares fall beyond it. A library's optimiser in
-    Python takes as long for its own steps as these residuals take, and a noise is sought thousands
-    of times in one investigation.
 
     Parameters
     ----------
@@ -177,55 +173,20 @@ def least_squares(
         Whether it ended by itself.
     """
     n_free = lower.size
-    values = start.copy()
-    values[:n_free] = np.minimum(np.maximum(start[:n_free], lower), upper)
+    values = clipped(start, lower, upper)
     here, _ = scaled_residuals(values, left)
-    squares, radius = np.sum(here**2), _RADIUS
+    squares, radius = np.sum(here**2), RADIUS
     if not np.isfinite(squares):
         return values, False
     gradient, products = change_of(values, here, left, n_free)
-    for _ in range(_TRIALS):
-        outside = np.where(gradient > 0, values[:n_free] <= lower, values[:n_free] >= upper)
-        step = within(gradient, products, outside, radius)
-        moved = values.copy()
-        moved[:n_free] = np.minimum(np.maximum(values[:n_free] + step, lower), upper)
-        taken = moved[:n_free] - values[:n_free]
-        promised = -2 * (gradient @ taken) - taken @ products @ taken
+    for _ in range(TRIALS):
+        moved, promised, length = stepped(values, gradient, products, lower, upper, radius)
         if promised <= _LEAST_GAIN * squares:
             return values, True
         there, _ = scaled_residuals(moved, left)
         gained = squares - np.sum(there**2)
-        length = np.sqrt(np.sum(step**2))
-        if not gained > 0.25 * promised:
-            radius = 0.25 * length
-        elif gained > 0.75 * promised and length > 0.95 * radius:
-            radius *= 2.0
+        radius = next_radius(radius, gained, promised, length)
         if gained > 0:
             values, here, squares = moved, there, squares - gained
             gradient, products = change_of(values, here, left, n_free)
     return values, False
-
-
-@compiled_loop
-def within(
-    gradient: np.ndarray, products: np.ndarray, held: np.ndarray, radius: float
-) -> np.ndarray:
-    """Step of least squares no longer than a radius (Moré & Sorensen 1983), some values held."""
-    pull, products = gradient.copy(), products.copy()
-    for i in range(held.size):
-        if held[i]:
-            pull[i] = 0.0
-            products[i, :] = 0.0
-            products[:, i] = 0.0
-    lengths, axes = np.linalg.eigh(products)
-    lengths = np.maximum(lengths, _DEPENDENT * lengths[-1]) + 1e-300
-    along = -(axes.T @ pull)
-    damping = 0.0
-    for _ in range(_BISECTIONS):
-        size = np.sqrt(np.sum((along / (lengths + damping)) ** 2))
-        if size <= 1.05 * radius:
-            break
-        # Newton's step for 1 / size, which is all but linear in the damping.
-        slope = np.sum(along**2 / (lengths + damping) ** 3) / size**3
-        damping += (1 / radius - 1 / size) / slope
-    return axes @ (along / (lengths + damping))
