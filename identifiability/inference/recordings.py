@@ -472,14 +472,12 @@ def _angle_noise(trials: Sequence[Trial], whole_band: Sequence[Prepared]) -> lis
     if trials[0].driven == "torque":
         return [0.0] * len(trials)
     rates = [round(trial.sampling_rate, 6) for trial in trials]
+    thinned = dict(zip(rates, (p.trial.sampling_rate for p in whole_band), strict=True))
     shown = {
-        rate: known_noise([t for t, r in zip(trials, rates, strict=True) if r == rate])
-        for rate in set(rates)
+        rate: known_noise([t for t, r in zip(trials, rates, strict=True) if r == rate], compared)
+        for rate, compared in thinned.items()
     }
-    return [
-        shown[rate] * float(np.sqrt(min(1.0, p.trial.sampling_rate / rate)))
-        for rate, p in zip(rates, whole_band, strict=True)
-    ]
+    return [shown[rate] for rate in rates]
 
 
 def _noisily(

@@ -92,7 +92,7 @@ def noise_cutoff(trials: Sequence[Trial], ratio: float = 1.0) -> float:
     return edge if np.isfinite(found) else highest
 
 
-def known_noise(trials: Sequence[Trial]) -> float:
+def known_noise(trials: Sequence[Trial], rate: float = np.inf) -> float:
     """Return the standard deviation [rad] of the white noise that the angles show by themselves.
 
     Of rounding to steps, or of what their spectrum levels off to, whichever is more; 0 where
@@ -101,13 +101,16 @@ def known_noise(trials: Sequence[Trial]) -> float:
     Parameters
     ----------
     trials : sequence of Trial
-        As they were recorded.
+        As they were recorded, at the first's rate.
+    rate : float
+        To which they are thinned [Hz], which leaves so much of white noise; not by default.
     """
     nyquist = 0.5 * min(trial.sampling_rate for trial in trials)
     floor = _floor([_spectrum(trial) for trial in trials], nyquist)
     level = 0.0 if floor is None else float(np.sqrt(floor * nyquist / len(trials)))
     steps = [rounding_step(trial.angle) for trial in trials]
-    return max(level, float(np.sqrt(np.mean(np.square(steps)) / 12)))
+    noise = max(level, float(np.sqrt(np.mean(np.square(steps)) / 12)))
+    return noise * float(np.sqrt(min(1.0, rate / trials[0].sampling_rate)))
 
 
 def rounding_step(values: np.ndarray) -> float:

@@ -301,9 +301,10 @@ def _whitened_squares(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Sums of squared whitened residuals by trial, and the samples they are worth."""
     squares, counts = np.zeros(n), np.zeros(n)
-    alike = noise.whitening(max(s.residual.size for s in stretches))
+    longest = max(s.residual.size for s in stretches)
+    alike = noise.whitening(longest) if stretches[0].beside is None else None
     for s in stretches:
-        own = alike if s.beside is None else noise.whitening(s.residual.size, s.beside)
+        own = alike or noise.whitening(s.residual.size, s.beside)
         white, _ = own.without_level(s.residual[:, None])
         squares[s.trial] += np.sum(white**2)
         counts[s.trial] += len(white) - 1
@@ -315,26 +316,33 @@ class _Sample:
 
     def __init__(self, stretches: Sequence[Stretch], carried: Process | None) -> None:
         self.carried = carried
-        basis = _basis(np.concatenate([s.jacobian for s in stretches]))
-        self.k = basis.shape[1]
-        lengths = sorted({s.residual.size for s in stretches})
+        self.has_beside = stretches[0].beside is not None
+        self._stretches = stretches
+        self._centred = [_level(s.residual) for s in stretches]
+        self._basis = _basis(np.concatenate([s.jacobian for s in stretches]))
+        self.k = self._basis.shape[1]
+        sizes = [s.residual.size for s in stretches]
+        self.n_samples, self.shortest = sum(sizes), min(sizes)
+
+    @cached_property
+    def _by_length(self) -> tuple[tuple[np.ndarray, np.ndarray], np.ndarray, np.ndarray]:
+        """Residuals alone and with what a fit took out of them, lengths, and how many have each."""
+        lengths = sorted({s.residual.size for s in self._stretches})
         residuals, both, numbers = [], [], []
         for n in lengths:
-            those = [s for s in stretches if s.residual.size == n]
+            those = [s for s in self._stretches if s.residual.size == n]
             residuals.append(np.column_stack([s.residual for s in those]))
-            derivatives = [s.jacobian @ basis for s in those]
+            derivatives = [s.jacobian @ self._basis for s in those]
             both.append(np.column_stack([residuals[-1], *derivatives]))
             numbers.append(len(those))
-        self._stretches, self._basis = stretches, basis
-        self.has_beside = stretches[0].beside is not None
-        self._residuals = np.concatenate([one.ravel() for one in residuals])
-        self._both = np.concatenate([one.ravel() for one in both])
-        self._lengths, self._numbers = np.array(lengths), np.array(numbers)
-        self.n_samples, self.shortest = self._residuals.size, lengths[0]
-        centred = [_level(s.residual) for s in stretches]
-        shocks = _reflections(centred, min(_LONG_AR, self.shortest // 6))
-        self._shocks = [lfilter(polynomial(shocks), [1.0], r) for r in centred]
-        self._centred = centred
+        columns = [np.concatenate([one.ravel() for one in those]) for those in (residuals, both)]
+        return (columns[0], columns[1]), np.array(lengths), np.array(numbers)
+
+    @cached_property
+    def _shocks(self) -> list[np.ndarray]:
+        """What a long autoregression leaves of the residuals."""
+        found = polynomial(_reflections(self._centred, min(_LONG_AR, self.shortest // 6)))
+        return [lfilter(found, [1.0], r) for r in self._centred]
 
     def ranked(self, tried: Sequence[Contender]) -> list[Contender]:
         """Contenders with the values of their best fit, the best by AICc first.
@@ -397,7 +405,7 @@ class _Sample:
         likeliest noises are missed, some by hundreds of nats.
         """
         if not order.carried:
-            return [self._started(order, self._coloured(order))]
+            return [self._coloured(order)]
         nearly_white = np.zeros(order.size - 1)
         nearly_white[: min(1, order.p)] = -0.5
         owns = [nearly_white, self._coloured(order)] if order.size > 1 else [nearly_white]
@@ -405,7 +413,7 @@ class _Sample:
 
     def _in_best_share(self, order: Order, own: np.ndarray) -> np.ndarray:
         """Values of an own noise, with as much of the carried one as is likeliest beside it."""
-        tried = [self._started(order, np.append(own, 0.5 * np.log(s))) for s in _SHARES]
+        tried = [np.append(own, 0.5 * np.log(share)) for share in _SHARES]
         costs = [self.cost(order, values, restricted=False) for values in tried]
         return tried[int(np.argmin(costs))]
 
@@ -455,16 +463,17 @@ class _Sample:
 
     def _left(self, order: Order, restricted: bool) -> Residuals:
         """The residuals, with what a fit took out of them where that counts."""
-        columns, k = (self._both, self.k) if restricted else (self._residuals, 0)
+        columns, lengths, numbers = self._by_length
+        k = self.k if restricted else 0
         carried = self._carried(order)
-        return Residuals(order.p, order.q, carried, columns, self._lengths, self._numbers, k)
+        return Residuals(order.p, order.q, carried, columns[restricted], lengths, numbers, k)
 
     def _left_beside(self, order: Order, restricted: bool) -> Left:
         """The same beside noise of known size."""
         columns, lengths, variances = self._beside
         k = self.k if restricted else 0
         carried = self._carried(order)
-        return Left(order.p, order.q, carried, columns[k > 0], lengths, variances, k)
+        return Left(order.p, order.q, carried, columns[restricted], lengths, variances, k)
 
     def _carried(self, order: Order) -> tuple[np.ndarray, np.ndarray]:
         if not order.carried or self.carried is None:

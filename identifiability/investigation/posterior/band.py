@@ -337,9 +337,7 @@ def band_of(
         return Band(ready, 1, dict(bounds or {}), step=step)
     cutoff_hz = cutoff(every, lowpass_hz) or HIGHEST_HZ
     fitted, halved = _moved_by_angles(every, cutoff_hz)
-    # What thinning leaves of white noise.
-    rate = fitted[0].trial.sampling_rate
-    noise = known_noise(recorded) / np.sqrt(max(1.0, recorded[0].sampling_rate / rate))
+    noise = known_noise(recorded, fitted[0].trial.sampling_rate)
     if halved:
         noise *= np.sqrt(np.sum(_HALF_BAND**2))
     changed = tuple(
