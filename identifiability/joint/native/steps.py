@@ -31,6 +31,11 @@ from identifiability.loops import compiled_loop
 
 _NEWTON_STEPS = 22
 
+# Parts of a scheme, by stage and what multiplies them, of two stages and from the start of four.
+# (Written into the calls, each pair would be compiled by itself.)
+_OF_TWO = np.array([(0, 0), (1, 0), (1, 0), (1, 1)])
+_FROM_START = np.array([(1, 5), (2, 5), (2, 6)])
+
 
 @compiled_loop
 def _react(
@@ -106,11 +111,11 @@ def scheme_of(linear: np.ndarray, step: float, order: int) -> Scheme:
     )
     if order == 2:
         scheme.places[1] = 2
-        _set(scheme, 0, 0, full[1], step)
         multiplied(full[2], full[0], product)
-        _set(scheme, 1, 0, full[1], step)
-        _set(scheme, 1, 0, product, -step)
-        _set(scheme, 1, 1, full[2], step)
+        for k in range(4):
+            stage, of = _OF_TWO[k]
+            matrix = (full[1], full[1], product, full[2])[k]
+            _set(scheme, stage, of, matrix, -step if k == 2 else step)
         return scheme
     scheme.places[1] = scheme.places[2] = 1
     scheme.places[3] = 2
@@ -118,18 +123,18 @@ def scheme_of(linear: np.ndarray, step: float, order: int) -> Scheme:
         _set(scheme, k, k, half[1], step if k == 2 else 0.5 * step)
     for i in range(n):
         half[0, i, i, 0] -= 1.0
-    _set(scheme, 1, 5, half[0], -1.0)
-    _set(scheme, 2, 5, half[0], 1.0)
-    _set(scheme, 2, 6, half[0], -2.0)
+    for k in range(3):
+        stage, of = _FROM_START[k]
+        _set(scheme, stage, of, half[0], (-1.0, 1.0, -2.0)[k])
     # The weights of the stages, and what they make of the linear part.
     for j in range(4):
         added(full[2], (-3.0, 2.0, 2.0, -1.0)[j], full[3], (4.0, -4.0, -4.0, 4.0)[j], product)
         if j == 0:
             added(product, 1.0, full[1], 1.0, product)
-        _set(scheme, 3, j, product, step)
+        _set(scheme, count - 1, j, product, step)
         if j:
             multiplied(product, linear, whole)
-            _set(scheme, 3, 4 + j, whole, -step)
+            _set(scheme, count - 1, count + j, whole, -step)
     return scheme
 
 
