@@ -13,6 +13,7 @@ from identifiability.plots.style import styled
 
 _COLUMNS = 4
 _LETTERS = 36  # of a line below one column
+_SHORT, _FEW = 7, 4  # letters of names, and how many of them, that there is room for in a panel
 _NORMAL_95 = 1.96
 
 
@@ -28,8 +29,10 @@ def across_figure(found: Across) -> Figure:
     Figure
     """
     n = len(found.parameters)
-    columns = min(n, _COLUMNS)
-    rows = -(-n // columns)
+    rows = -(-n // _COLUMNS)
+    columns = -(-n // rows)
+    labels = [record.name for record in found.records]
+    short = all(len(label) <= _SHORT for label in labels) and len(labels) <= _FEW
     places = np.arange(len(found.records))
     with styled():
         figure = Figure(figsize=(2.9 * columns, 2.7 * rows + 0.3))
@@ -56,12 +59,13 @@ def across_figure(found: Across) -> Figure:
                     color=colour,
                     capsize=3,
                 )
-            panel.set_xticks(places, [str(1 + place) for place in places])
+            panel.set_xticks(places, labels if short else [str(1 + place) for place in places])
             panel.set_xlim(-0.6, len(places) - 0.4)
             unit = "" if parameter.unit == "1" else f" [{parameter.unit}]"
             panel.set_ylabel(f"${parameter.symbol}${unit}")
             name = one.name.replace(".", ": ").replace("_", " ")
             panel.set_title(name if one.shared else f"{name} (may differ)", fontsize=9)
-        names = [f"{1 + i}: {record.name}" for i, record in enumerate(found.records)]
-        figure.supxlabel(fill(", ".join(names), int(_LETTERS * columns)), fontsize=10)
+        if not short:
+            names = ", ".join(f"{1 + i}: {label}" for i, label in enumerate(labels))
+            figure.supxlabel(fill(names, int(_LETTERS * columns)), fontsize=10)
     return figure

@@ -25,6 +25,7 @@ from identifiability.plots.style import LONGEST_SHOWN, PAGE, printed
 
 _MOST_TRIALS, _MOST_FAMILIES = 4, 8
 _LINE = 44  # letters of a family's name in one line
+_LINE_HEIGHT = 0.13  # inches
 _COLOURS = {"sensor": ORANGE, "drift": ORANGE, "none": GREY, "unrepeatable": PURPLE}
 _MEANINGS = {
     BLUE: "a function of the motion",
@@ -74,8 +75,11 @@ def unexplained_figure(rest: Unexplained, *, with_torque: bool = True) -> Figure
     Figure
     """
     detail = rest.memory_kernel is not None or rest.static_map is not None
-    figure = Figure(figsize=(PAGE, 4.6 if with_torque else 2.6))
-    halves = figure.subfigures(1 + with_torque, 1, squeeze=False)[:, 0]
+    lines = max(label.count("\n") + 1 for label in _labels(rest))
+    heights = [max(2.3 if with_torque else 2.6, 0.9 + _LINE_HEIGHT * lines * len(_labels(rest)))]
+    heights += [2.3] * with_torque
+    figure = Figure(figsize=(PAGE, sum(heights)))
+    halves = figure.subfigures(len(heights), 1, squeeze=False, height_ratios=heights)[:, 0]
     left, *right = np.atleast_1d(
         halves[0].subplots(1, 2 if detail else 1, width_ratios=(1.4, 1.0) if detail else None)
     )
@@ -89,13 +93,18 @@ def unexplained_figure(rest: Unexplained, *, with_torque: bool = True) -> Figure
     return figure
 
 
+def _labels(rest: Unexplained) -> list[str]:
+    """Names of the kinds of explanation, in lines."""
+    shown = rest.families[:_MOST_FAMILIES]
+    return [fill(f.name + (" + a rest" if f.remainder else ""), _LINE) for f in shown]
+
+
 def _families(axes: Axes, rest: Unexplained) -> None:
     shown = rest.families[:_MOST_FAMILIES]
     powers = np.array([f.log_evidence for f in shown]) / np.log(10)
     colours = [_COLOURS.get(f.kind, BLUE) for f in shown]
     axes.barh(range(len(shown)), powers, color=colours, height=0.7)
-    names = [f.name + (" + a rest" if f.remainder else "") for f in shown]
-    axes.set_yticks(range(len(shown)), [fill(name, _LINE) for name in names])
+    axes.set_yticks(range(len(shown)), _labels(rest))
     axes.invert_yaxis()
     axes.axvline(0, color=GREY, lw=0.8)
     axes.axvline(powers[0] - rest.decisive / np.log(10), color=GREY, lw=0.8, ls="--")
