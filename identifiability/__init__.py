@@ -4,6 +4,16 @@ The public names are those of ``__init__.pyi``; each is imported when it is firs
 command line answers at once.
 """
 
+from typing import Any
+
 import lazy_loader
 
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+_public, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+
+
+def __getattr__(name: str) -> Any:
+    if name == "__version__":
+        from identifiability.provenance import package_version
+
+        return package_version()
+    return _public(name)

@@ -115,6 +115,8 @@ from .workbench.attempt import Attempt, Ranked, Ranking
 from .workbench.difference import Difference
 from .workbench.session import Session
 
+__version__: str
+
 __all__ = [  # noqa: RUF022 -- in the order of use
     "InputError",
     "Trial",

@@ -5,6 +5,7 @@ import shlex
 import numpy as np
 import pytest
 
+import identifiability
 from identifiability.benchmark.blind import blind_cases
 from identifiability.benchmark.calibration import failed
 from identifiability.cli.exits import PARTIAL
@@ -188,7 +189,19 @@ def test_widths_writes_what_it_says(tmp_path, capsys):
     assert "truncated" in capsys.readouterr().out
 
 
-COMMANDS = ("demo", "fit", "investigate", "widths", "paper", "atlas", "benchmark")
+COMMANDS = (
+    "demo",
+    "fit",
+    "investigate",
+    "across",
+    "widths",
+    "paper",
+    "atlas",
+    "sensitivity",
+    "effects",
+    "recordings",
+    "benchmark",
+)
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -204,12 +217,24 @@ def test_help_ends_with_examples_that_are_understood(command, capsys):
             assert parser().parse_args(arguments).command == command
 
 
+def test_the_help_of_all_ends_with_examples_that_are_understood(capsys):
+    with pytest.raises(SystemExit, match="0"):
+        main(["--help"])
+    lines = capsys.readouterr().out.split("examples:\n")[1].splitlines()
+    for name, *arguments in map(shlex.split, lines):
+        assert name == "identifiability"
+        if "--help" not in arguments:
+            parser().parse_args(arguments)
+
+
 def test_version_and_effects_are_told(capsys):
     with pytest.raises(SystemExit, match="0"):
         main(["--version"])
     assert capsys.readouterr().out.split() == ["identifiability", package_version()]
-    with pytest.raises(SystemExit, match="0"):
-        main(["investigate", "--list-effects"])
-    lines = capsys.readouterr().out.splitlines()
-    assert [line.split()[0] for line in lines] == list(EFFECTS)
-    assert all(EFFECTS[line.split()[0]].title in line for line in lines)
+    assert identifiability.__version__ == package_version()
+    for command in ([], ["investigate"]):
+        with pytest.raises(SystemExit, match="0"):
+            main([*command, "--list-effects"])
+        lines = capsys.readouterr().out.splitlines()
+        assert [line.split()[0] for line in lines] == list(EFFECTS)
+        assert all(EFFECTS[line.split()[0]].title in line for line in lines)

@@ -156,6 +156,7 @@ def test_a_prediction_that_explodes_is_called_so():
     [
         (31.98, 0.034, False, "31.980 ± 0.034 Nm/rad"),
         (31.98, 0.34, False, "31.98 ± 0.34 Nm/rad"),
+        (30.0001, 0.0149, False, "30.000 ± 0.015 Nm/rad"),
         (30.0001, 0.0019, False, "30.00 Nm/rad ± 0.006 %"),
         (1.2345e-5, 2.1e-6, False, "(1.23 ± 0.21) × 10⁻⁵ Nm/rad"),
         (2.5e6, 3e5, False, "(2.50 ± 0.30) × 10⁶ Nm/rad"),

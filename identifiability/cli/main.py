@@ -8,7 +8,7 @@ import sys
 from collections.abc import Sequence
 
 from identifiability.cli.exits import INTERRUPTED, USAGE
-from identifiability.cli.options import Version
+from identifiability.cli.options import ListEffects, Version, with_examples
 from identifiability.errors import InputError
 
 
@@ -31,8 +31,20 @@ def parser() -> argparse.ArgumentParser:
     top = argparse.ArgumentParser(
         prog="identifiability",
         description="Can the stiffness, damping and inertia fitted to a joint be believed?",
+        **with_examples(
+            "demo",
+            "fit trial1.csv trial2.csv --out fitted",
+            "investigate trials/ --out found",
+            "investigate --help",
+        ),
     )
     top.add_argument("--version", action=Version, nargs=0, help="print the version, and end")
+    top.add_argument(
+        "--list-effects",
+        action=ListEffects,
+        nargs=0,
+        help="print the effects that are known, and end",
+    )
     commands = top.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for module in (
         demo,

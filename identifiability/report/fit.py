@@ -215,7 +215,7 @@ def fit_text(result: RecordingFit) -> str:
         lines.append(f"width of {row.name}: {width_in_words(row.verdict)}, {row.reason}")
     for w in result.windows:
         values = ", ".join(
-            f"{r.name} {r.optimum:.4g} ± {r.posterior_sd:.2g}" for r in w.widths.rows
+            f"{r.name} {plus_minus(r.optimum, r.posterior_sd)}" for r in w.widths.rows
         )
         lines.append(
             f"T = {1000 * w.window:g} ms ({w.n_windows} windows): {values}; "

@@ -11,7 +11,7 @@ NATS = "With 3 nats more something is 20 times as probable, with 7 a thousand ti
 """Below tables in nats."""
 
 _NOTHING = 1e-6  # share of its usual value that is no value
-_NARROW = 1e-3  # share of a value from which a width is given in per cent
+_NARROW = 1e-4  # share of a value from which a width is given in per cent
 _FEW = 1000.0  # times, until which a ratio is written out
 _WITH_MILLI, _SMALL = ("s", "rad"), 0.1  # units that are read in thousandths, and below what value
 _DIVERGED = 1e3  # E of a prediction that has nothing to do with the trial any more
