@@ -13,7 +13,7 @@ from identifiability.inference.widths import Widths
 from identifiability.investigation.findings import Findings
 from identifiability.investigation.ladder.found import Found
 from identifiability.investigation.models import fitted_models
-from identifiability.investigation.wording.values import name_in_words
+from identifiability.investigation.wording.values import name_in_words, width_in_words
 from identifiability.investigation.wording.verdict import model_in_words, percent, plain
 from identifiability.palette import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILLION
 from identifiability.plots.style import COLUMN, PAGE, printed
@@ -138,7 +138,7 @@ def widths_figure(result: Widths) -> Figure:
             axes.plot(*np.transpose(places), marker, color=colour, ms=4, label=name)
     axes.axvline(1.0, color=BLACK, lw=0.8, ls=":")
     axes.set_xscale("log")
-    labels = [f"{plain(row.name)} ({row.verdict})" for row in rows]
+    labels = [f"{plain(row.name)} ({width_in_words(row.verdict)})" for row in rows]
     axes.set_yticks(range(len(rows)), labels)
     axes.invert_yaxis()
     axes.set_xlabel("width over value; dotted: as wide as the value itself")

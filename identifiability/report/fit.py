@@ -12,13 +12,14 @@ from identifiability.inference.recordings import Goodness, RecordingFit
 from identifiability.inference.records import fit_record
 from identifiability.inference.widths import Width
 from identifiability.investigation.wording.numbers import vaf_text
+from identifiability.investigation.wording.values import width_in_words
 from identifiability.joint.parameters import plus_minus
 from identifiability.numerals import number
 from identifiability.plots.corner import corner_figure
 from identifiability.plots.recording import overlay_figure, windows_figure
 from identifiability.report.figures import Figures
 from identifiability.report.page import Page
-from identifiability.report.widths import width_in_words, widths_text
+from identifiability.report.widths import widths_text
 
 
 def write_fit(result: RecordingFit, out: Path) -> list[str]:

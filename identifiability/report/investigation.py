@@ -24,6 +24,7 @@ from identifiability.investigation.wording.next_step import next_step_sentence, 
 from identifiability.investigation.wording.numbers import error_text
 from identifiability.investigation.wording.pinned import loose_sentence
 from identifiability.investigation.wording.unexplained import unexplained_sentence
+from identifiability.investigation.wording.values import width_in_words
 from identifiability.joint.parameters import with_unit
 from identifiability.numerals import number, range_text
 from identifiability.plots.investigation import ladder_figure, widths_figure
@@ -42,7 +43,6 @@ from identifiability.report.figures import Figures
 from identifiability.report.models import models_table, models_text
 from identifiability.report.page import Page
 from identifiability.report.ranking import SHOWN, ranking
-from identifiability.report.widths import width_in_words
 
 _ROWS = 6  # sets listed in the terminal, at most
 _RIVALS = 3  # whose curves are laid on each other, at most

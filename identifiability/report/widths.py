@@ -11,6 +11,7 @@ from identifiability.inference.archive import write_netcdf
 from identifiability.inference.problem import Problem
 from identifiability.inference.records import widths_record
 from identifiability.inference.widths import Widths
+from identifiability.investigation.wording.values import width_in_words
 from identifiability.plots.corner import corner_figure
 from identifiability.plots.style import save
 
@@ -37,11 +38,6 @@ def write_widths(
     write_netcdf(problem, result, out / "posterior.nc")
     save(corner_figure(result, problem.model, title=title), out / "corner.png")
     write_json(out / "widths.json", widths_record(result, conditions or {}))
-
-
-def width_in_words(verdict: str) -> str:
-    """What a verdict on a width says: of the ellipse, not of the parameter."""
-    return "ellipse holds" if verdict == "agrees" else verdict
 
 
 def widths_text(result: Widths) -> str:

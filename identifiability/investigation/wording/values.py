@@ -1,4 +1,4 @@
-"""The parameters of a fitted model in words."""
+"""The parameters of a fitted model, and what is said of their widths, in words."""
 
 from __future__ import annotations
 
@@ -27,6 +27,11 @@ def own_values_in_words(one: FittedModel) -> str:
         for name in one.candidate.free
         if one.added and name.startswith(own)
     )
+
+
+def width_in_words(verdict: str) -> str:
+    """What a verdict on a width says: of the ellipse, not of the parameter."""
+    return "ellipse holds" if verdict == "agrees" else verdict
 
 
 def name_in_words(one: FittedModel) -> str:
