@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from identifiability.cli.options import (
-    ListEffects,
     add_bounds_option,
     add_file_options,
+    add_list_effects_option,
     add_lowpass_option,
     add_out_option,
     add_seed_option,
@@ -46,9 +46,7 @@ def add_parser(commands: Any) -> None:
         metavar="NAME",
         help="parameters that may differ between records (K B)",
     )
-    parser.add_argument(
-        "--list-effects", action=ListEffects, nargs=0, help="print the effects that are known"
-    )
+    add_list_effects_option(parser)
     add_lowpass_option(parser)
     add_bounds_option(parser)
     add_seed_option(parser, "probes of the noise")

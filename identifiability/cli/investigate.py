@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from identifiability.cli.options import (
-    ListEffects,
     add_bounds_option,
     add_file_options,
+    add_list_effects_option,
     add_lowpass_option,
     add_out_option,
     add_seed_option,
@@ -52,9 +52,7 @@ def add_parser(commands: Any) -> None:
         metavar="FILE",
         help="a trial that no model is fitted to (may be repeated; chosen by itself if none is)",
     )
-    parser.add_argument(
-        "--list-effects", action=ListEffects, nargs=0, help="print the effects that are known"
-    )
+    add_list_effects_option(parser)
     add_lowpass_option(parser)
     add_bounds_option(parser)
     parser.add_argument("--most", type=int, metavar="N", help="most effects to add (4)")

@@ -8,7 +8,7 @@ import sys
 from collections.abc import Sequence
 
 from identifiability.cli.exits import INTERRUPTED, USAGE
-from identifiability.cli.options import ListEffects, Version, with_examples
+from identifiability.cli.options import Version, add_list_effects_option, with_examples
 from identifiability.errors import InputError
 
 
@@ -39,12 +39,7 @@ def parser() -> argparse.ArgumentParser:
         ),
     )
     top.add_argument("--version", action=Version, nargs=0, help="print the version, and end")
-    top.add_argument(
-        "--list-effects",
-        action=ListEffects,
-        nargs=0,
-        help="print the effects that are known, and end",
-    )
+    add_list_effects_option(top)
     commands = top.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for module in (
         demo,

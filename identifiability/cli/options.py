@@ -51,6 +51,16 @@ class ListEffects(argparse.Action):
         parser.exit()
 
 
+def add_list_effects_option(parser: argparse.ArgumentParser) -> None:
+    """Add the option that prints the effects that are known."""
+    parser.add_argument(
+        "--list-effects",
+        action=ListEffects,
+        nargs=0,
+        help="print the effects that are known, and end",
+    )
+
+
 def print_effects() -> None:
     """Print the effects that are known, with their places."""
     from identifiability.joint.effects import EFFECTS

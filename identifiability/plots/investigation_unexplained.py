@@ -75,15 +75,17 @@ def unexplained_figure(rest: Unexplained, *, with_torque: bool = True) -> Figure
     Figure
     """
     detail = rest.memory_kernel is not None or rest.static_map is not None
-    lines = max(label.count("\n") + 1 for label in _labels(rest))
-    heights = [max(2.3 if with_torque else 2.6, 0.9 + _LINE_HEIGHT * lines * len(_labels(rest)))]
+    shown = rest.families[:_MOST_FAMILIES]
+    names = [fill(f.name + (" + a rest" if f.remainder else ""), _LINE) for f in shown]
+    lines = len(names) * max(name.count("\n") + 1 for name in names)
+    heights = [max(2.3 if with_torque else 2.6, 0.9 + _LINE_HEIGHT * lines)]
     heights += [2.3] * with_torque
     figure = Figure(figsize=(PAGE, sum(heights)))
     halves = figure.subfigures(len(heights), 1, squeeze=False, height_ratios=heights)[:, 0]
     left, *right = np.atleast_1d(
         halves[0].subplots(1, 2 if detail else 1, width_ratios=(1.4, 1.0) if detail else None)
     )
-    _families(left, rest)
+    _families(left, rest, names)
     if rest.memory_kernel is not None:
         _kernel(right[0], rest.memory_kernel)
     elif rest.static_map is not None:
@@ -93,18 +95,13 @@ def unexplained_figure(rest: Unexplained, *, with_torque: bool = True) -> Figure
     return figure
 
 
-def _labels(rest: Unexplained) -> list[str]:
-    """Names of the kinds of explanation, in lines."""
-    shown = rest.families[:_MOST_FAMILIES]
-    return [fill(f.name + (" + a rest" if f.remainder else ""), _LINE) for f in shown]
-
-
-def _families(axes: Axes, rest: Unexplained) -> None:
-    shown = rest.families[:_MOST_FAMILIES]
+def _families(axes: Axes, rest: Unexplained, names: Sequence[str]) -> None:
+    """The first kinds of explanation, by names that may take several lines."""
+    shown = rest.families[: len(names)]
     powers = np.array([f.log_evidence for f in shown]) / np.log(10)
     colours = [_COLOURS.get(f.kind, BLUE) for f in shown]
     axes.barh(range(len(shown)), powers, color=colours, height=0.7)
-    axes.set_yticks(range(len(shown)), _labels(rest))
+    axes.set_yticks(range(len(shown)), names)
     axes.invert_yaxis()
     axes.axvline(0, color=GREY, lw=0.8)
     axes.axvline(powers[0] - rest.decisive / np.log(10), color=GREY, lw=0.8, ls="--")
