@@ -140,8 +140,10 @@ def _map(axes: Axes, static: StaticMap) -> None:
     image = axes.imshow(
         shown.T, origin="lower", aspect="auto", cmap="PuOr", norm=TwoSlopeNorm(0, -most, most)
     )
-    for place, nodes in ((axes.set_xticks, static.angle), (axes.set_yticks, static.velocity)):
-        at = np.unique(np.linspace(0, nodes.size - 1, 5).round().astype(int))
+    # Values side by side need more room than values one below the other.
+    ticks = ((axes.set_xticks, static.angle, 3), (axes.set_yticks, static.velocity, 5))
+    for place, nodes, most_ticks in ticks:
+        at = np.unique(np.linspace(0, nodes.size - 1, most_ticks).round().astype(int))
         place(at, [f"{nodes[i]:.2g}" for i in at])
     axes.figure.colorbar(image, ax=axes, label="torque [Nm]")
     axes.set_xlabel("angle [rad]")
