@@ -7,10 +7,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from browser import assert_laid_out
 from browser import measured as measured_in_browser
 from hidden import CONDITIONS, HELD, JOINT, trials
 
 from identifiability.files import plain
+from identifiability.inference.recordings import fit_recordings
 from identifiability.investigation.fits.candidate import NOTHING, Candidate
 from identifiability.investigation.investigate import investigate
 from identifiability.investigation.ladder.found import Found, Tried
@@ -23,6 +25,7 @@ from identifiability.investigation.next_experiment import (
 from identifiability.investigation.record import investigation_record
 from identifiability.investigation.rules import Rules
 from identifiability.investigation.session import Investigation
+from identifiability.investigation.unexplained.readouts import StaticMap
 from identifiability.investigation.verdict.pinned import not_pinned_down
 from identifiability.investigation.wording.numbers import error_text, measured, times
 from identifiability.investigation.wording.pinned import loose_sentence
@@ -31,6 +34,7 @@ from identifiability.joint.model import KBI
 from identifiability.numerals import range_text
 from identifiability.plots.investigation import alone_figure, widths_figure
 from identifiability.plots.style import COLUMN, PAGE, PRINTED_AS
+from identifiability.report.fit import write_fit
 from identifiability.report.investigation import (
     investigation_text,
     write_investigation,
@@ -41,6 +45,8 @@ from identifiability.report.ranking import tried_row
 
 QUADRATIC = EFFECTS["quadratic_stiffness"].parameters
 SMALL = {k: EFFECTS[k] for k in ("quadratic_stiffness", "cubic_stiffness")}
+STATES = np.linspace(-0.123, 0.123, 9)
+MAP = StaticMap(STATES, 10 * STATES, np.outer(STATES, STATES + 0.2), np.full((9, 9), 1e-3))
 FEW = CONDITIONS[::3]  # a pulse and a step, where it is not their number that counts
 
 
@@ -282,7 +288,7 @@ def reported(request, explained, tmp_path_factory):
             findings,
             found=replace(found, missing=(), final=found.baseline),
             verdict=replace(findings.verdict, kind=kind, sets=()),
-            unexplained_after=findings.unexplained_before,
+            unexplained_after=replace(findings.unexplained_before, static_map=MAP),
         )
     folder = tmp_path_factory.mktemp(kind)
     record = investigation_record(findings, command="identifiability investigate trials")
@@ -361,23 +367,14 @@ def test_figures_are_as_wide_as_a_journal_prints_them_and_their_letters_can_be_r
 
 def test_a_browser_lays_a_report_out_whole(reported, tmp_path):
     drawings = [reported.folder / name for name in reported.figures if name.endswith(".svg")]
-    page = reported.folder / "report.html"
-    found = measured_in_browser(page, drawings, tmp_path, widths=(400, 800, 1280))
-    assert [one["width"] for one in found["pages"]] == [400, 800, 1280]
-    for one in found["pages"]:
-        assert not one["scrolls"], one["width"]
-        assert one["outside"] == []
-        assert one["overlapping"] == []
-        assert len(one["figures"]) == len(drawings)
-        for figure in one["figures"]:
-            assert figure["drawn"]
-            assert len(figure["caption"]) > 30
-            assert len(figure["alt"]) > 20
-            assert figure["alt"] not in figure["caption"]
-    for one in found["drawings"]:
-        assert one["n_texts"] > 3, one["name"]
-        assert one["overlapping"] == [], one["name"]
-        assert one["cut"] == [], one["name"]
+    assert_laid_out(reported.folder / "report.html", drawings, tmp_path)
+
+
+@pytest.mark.usefixtures("shown_alone")
+def test_a_browser_lays_the_report_of_a_fit_out_whole(tmp_path):
+    result = fit_recordings(trials(KBI(), JOINT, conditions=FEW), window_lengths=(0.1, 0.2))
+    drawings = [tmp_path / name for name in write_fit(result, tmp_path) if name.endswith(".svg")]
+    assert_laid_out(tmp_path / "report.html", drawings, tmp_path)
 
 
 def test_the_browser_sees_what_is_wrong(tmp_path):
@@ -394,7 +391,9 @@ def test_the_browser_sees_what_is_wrong(tmp_path):
     found = measured_in_browser(
         tmp_path / "page.html", [tmp_path / "bad.svg"], tmp_path, widths=(400,), dark=True
     )
-    (shown,), (drawing,) = found["pages"], found["drawings"]
+    (shown, printed), (drawing,) = found["pages"], found["drawings"]
+    assert printed["outside"]
+    assert printed["background"] == "rgb(255, 255, 255)"
     assert shown["scrolls"]
     assert shown["outside"]
     assert shown["overlapping"]

@@ -3,13 +3,18 @@
 import numpy as np
 import pytest
 from hidden import HELD, JOINT, trials
+from IPython.core.interactiveshell import InteractiveShell
 
 from identifiability.errors import InputError
+from identifiability.investigation.posterior.claim import Claim
 from identifiability.investigation.posterior.evidence import Evaluator
+from identifiability.investigation.wording.describe import describe
 from identifiability.joint.effects import EFFECTS, CubicStiffness
 from identifiability.joint.model import KBI
 from identifiability.joint.response import simulate
+from identifiability.workbench.notebook import show_in_notebooks
 from identifiability.workbench.session import Session
+from identifiability.workbench.show import page
 
 KEYS = ("series_tendon", "cubic_stiffness", "sensor_delay", "gravity")
 LIBRARY = {key: EFFECTS[key] for key in KEYS}
@@ -155,6 +160,63 @@ def test_it_shows_itself(session):
     session.undo()
     assert "sensor delay" in session.ranking._repr_html_()
     session.redo()
+
+
+def test_what_it_finds_shows_itself_where_ipython_runs(session, monkeypatch):
+    shell, shown = InteractiveShell(), []
+    monkeypatch.setattr("IPython.display.display", shown.append)
+    monkeypatch.setattr("IPython.get_ipython", lambda: shell)
+    show_in_notebooks()
+    probabilities, first = session.probabilities(), session.history[0]
+    for result, says, drawn in [
+        (session.now, "cubic stiffness: coefficient", True),
+        (session.compare(first), "is more probable than K, B, I", True),
+        (session.compare(first).experiment(), "Nm", False),
+        (session.locate(), "noise", True),
+        (session.constancy(), "K", True),
+        (session.unexplained(), "left", True),
+        (probabilities, "That cubic stiffness is missing has", False),
+        (session.claim(probabilities), "Missing is cubic stiffness, with a probability", False),
+    ]:
+        shown.clear()
+        assert shell.display_formatter.format(result) == ({}, {})
+        assert says in shown[0].data, result
+        assert [one.data[1:4] for one in shown[1:]] == [b"PNG"] * drawn, result
+
+
+def test_the_widths_of_its_model_show_themselves(session):
+    found = session.widths()
+    assert found.names == session.now.candidate.free
+    shown = page(found)
+    assert all(row.name.replace(".", ": ").replace("_", " ") in shown for row in found.rows)
+    assert "ellipse holds" in shown
+    assert "data:image/png" in shown
+
+
+@pytest.mark.parametrize(
+    ("claim", "words"),
+    [
+        (
+            Claim("effects", ("a_b",), (("a_b", "c"), ("d",)), 0.97),
+            "Missing is a b or c; and d, with a probability of 97 %.",
+        ),
+        (
+            Claim("nothing", (), (), 0.8),
+            "Nothing is named: that nothing is missing has a probability of 80 %.",
+        ),
+        (
+            Claim("unknown", ("a",), (), 0.9, present=("a",)),
+            "Nothing is named: that it is no effect of the library has a probability of 90 %. "
+            "Beside it, there is a.",
+        ),
+        (
+            Claim("undecided", ("a",), (), 0.4),
+            "Nothing is named: the most probable set has a probability of 40 % only.",
+        ),
+    ],
+)
+def test_what_can_be_named_is_said(claim, words):
+    assert describe(claim) == (words,)
 
 
 def test_the_model_that_is_most_probable_of_those_tried(session):

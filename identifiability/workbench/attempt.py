@@ -57,9 +57,9 @@ class Attempt:
         return f"{self.name}: {errors}"
 
     def _repr_html_(self) -> str:
-        from identifiability.workbench.show import attempt_html
+        from identifiability.workbench.show import page
 
-        return attempt_html(self)
+        return page(self)
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,6 +92,6 @@ class Ranking(tuple[Ranked, ...]):
     """Effects by what each would bring, the most first."""
 
     def _repr_html_(self) -> str:
-        from identifiability.workbench.show import ranking_html
+        from identifiability.workbench.show import page
 
-        return ranking_html(self)
+        return page(self)

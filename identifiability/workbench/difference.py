@@ -78,6 +78,6 @@ class Difference:
         return difference_sentence(self)
 
     def _repr_html_(self) -> str:
-        from identifiability.workbench.show import difference_html
+        from identifiability.workbench.show import page
 
-        return difference_html(self)
+        return page(self)

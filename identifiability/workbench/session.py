@@ -15,8 +15,10 @@ from threadpoolctl import threadpool_limits
 
 from identifiability.errors import InputError
 from identifiability.inference.between import Between
+from identifiability.inference.widths import Widths
 from identifiability.investigation.fits.candidate import unfitted
 from identifiability.investigation.fits.kept import OnDisk
+from identifiability.investigation.posterior.claim import Claim
 from identifiability.investigation.posterior.jobs import enlarged, richer
 from identifiability.investigation.posterior.probabilities import Probabilities
 from identifiability.investigation.posterior.weighing import Job, Weighing
@@ -42,6 +44,7 @@ from identifiability.workbench.moves import (
     write_moves,
     write_trials,
 )
+from identifiability.workbench.notebook import show_in_notebooks
 
 Keys = tuple[str, ...]
 
@@ -110,6 +113,7 @@ class Session:
         moves: Sequence[Move] | None = None,
         progress: Progress = silent,
     ) -> None:
+        show_in_notebooks()
         self.folder = None if folder is None else Path(folder)
         if self.folder is not None and moves is None and holds_session(self.folder):
             raise InputError(f"{folder} holds a session already: Session.open({str(folder)!r})")
@@ -202,6 +206,17 @@ class Session:
     def unexplained(self) -> Unexplained:
         """What the present model leaves, as a torque of which nothing is assumed but its family."""
         return self.study.unexplained(self.now.candidate, seed=self.seed)
+
+    def widths(self, attempt: Attempt | None = None) -> Widths:
+        """How well the parameters of a model are known, by every kind of width.
+
+        Parameters
+        ----------
+        attempt : Attempt, optional
+            The present model by default.
+        """
+        one = self.now if attempt is None else attempt
+        return self.study.widths(one.candidate, seed=self.seed)
 
     # Move
 
@@ -358,6 +373,10 @@ class Session:
         And how an imposed torque ran between its samples; a session keeps to its `torque_between`.
         """
         return self.study.likeliest(seed=self.seed).weigh(seed=self.seed)
+
+    def claim(self, found: Probabilities) -> Claim:
+        """What probabilities allow to name."""
+        return self.study.claim(found)
 
     # Keep
 
@@ -550,6 +569,6 @@ class Session:
         return "\n".join(lines)
 
     def _repr_html_(self) -> str:
-        from identifiability.workbench.show import session_html
+        from identifiability.workbench.show import page
 
-        return session_html(self)
+        return page(self)

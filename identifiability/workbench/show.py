@@ -5,16 +5,31 @@ from __future__ import annotations
 import base64
 import html
 from collections.abc import Sequence
+from functools import singledispatch
 
 import numpy as np
+from matplotlib.figure import Figure
 
+from identifiability.inference.widths import Widths
+from identifiability.investigation.unexplained.account import Unexplained
+from identifiability.investigation.where.compare import Comparison
+from identifiability.investigation.where.locate import Location
+from identifiability.investigation.wording.describe import describe
 from identifiability.investigation.wording.numbers import NATS
-from identifiability.investigation.wording.verdict import percent
+from identifiability.investigation.wording.values import width_in_words
+from identifiability.investigation.wording.verdict import percent, plain
 from identifiability.joint.parameters import plus_minus, with_unit
-from identifiability.plots.investigation_where import responses_figure
+from identifiability.numerals import range_text
+from identifiability.plots.investigation import widths_figure
+from identifiability.plots.investigation_unexplained import unexplained_figure
+from identifiability.plots.investigation_where import (
+    comparison_figure,
+    responses_figure,
+    where_figure,
+)
 from identifiability.plots.rivals import rivals_figure
 from identifiability.plots.style import png_of
-from identifiability.workbench.attempt import Attempt, Ranked
+from identifiability.workbench.attempt import Attempt, Ranked, Ranking
 from identifiability.workbench.difference import Difference
 from identifiability.workbench.session import Session
 
@@ -38,47 +53,77 @@ def difference_sentence(difference: Difference) -> str:
     )
 
 
-def attempt_html(attempt: Attempt) -> str:
-    """Parameters of a model with their widths, its errors, and what it predicts."""
-    parameters = attempt.model.parameters
+def page(result: object) -> str:
+    """What was found, as one piece of HTML."""
+    drawn = figure(result)
+    if drawn is None:
+        return said(result)
+    data = base64.b64encode(png_of(drawn)).decode()
+    alt = html.escape(type(result).__name__)
+    return (
+        f'{said(result)}<img style="max-width:100%" alt="{alt}" src="data:image/png;base64,{data}">'
+    )
+
+
+@singledispatch
+def said(result: object) -> str:
+    """What was found in sentences or a table."""
+    return "".join(map(_paragraph, describe(result)))
+
+
+@singledispatch
+def figure(result: object) -> Figure | None:
+    """What was found as a figure, where there is one."""
+    return None
+
+
+figure.register(Location, where_figure)
+figure.register(Comparison, comparison_figure)
+figure.register(Unexplained, unexplained_figure)
+figure.register(Widths, widths_figure)
+
+
+@said.register
+def _(result: Attempt) -> str:
+    """Parameters of a model with their widths, and its errors."""
+    parameters = result.model.parameters
     rows = [
         [
-            name.replace(".", ": ").replace("_", " "),
-            with_unit(
-                plus_minus(attempt.values[name], attempt.sds.get(name)), parameters[name].unit
-            ),
+            plain(name),
+            with_unit(plus_minus(result.values[name], result.sds.get(name)), parameters[name].unit),
             parameters[name].description,
         ]
-        for name in attempt.candidate.free
+        for name in result.candidate.free
     ]
-    split = attempt.split
-    figure = responses_figure(
-        split, attempt.candidate, of="held_out" if split.held_out else "fitted"
-    )
-    title = f"<p><b>{html.escape(attempt.name)}</b>: {html.escape(_errors(attempt))}</p>"
-    return (
-        title
-        + _table(["parameter", "value", ""], rows, (0, 2))
-        + _picture(png_of(figure), "Measured and predicted responses.")
-    )
+    title = f"<p><b>{html.escape(result.name)}</b>: {html.escape(_errors(result))}</p>"
+    return title + _table(["parameter", "value", ""], rows, (0, 2))
 
 
-def ranking_html(ranking: Sequence[Ranked]) -> str:
+@figure.register
+def _(result: Attempt) -> Figure:
+    """What a model predicts."""
+    split = result.split
+    return responses_figure(split, result.candidate, of="held_out" if split.held_out else "fitted")
+
+
+@said.register
+def _(result: Ranking) -> str:
     """Effects by what each would bring."""
-    if not ranking:
-        return "<p>Beside this model nothing was ranked yet: rank() does.</p>"
-    rows = [_ranked_row(one) for one in ranking]
+    if not result:
+        return _paragraph("Beside this model nothing was ranked yet: rank() does.")
+    rows = [_ranked_row(one) for one in result]
     head = ["one effect more", "evidence gained [nats]", "E fitted", "E held out", ""]
-    return _table(head, rows, (0, 4)) + f"<p>{NATS}</p>"
+    return _table(head, rows, (0, 4)) + _paragraph(NATS)
 
 
-def difference_html(difference: Difference) -> str:
-    """Two models in one sentence, a table and a figure."""
-    pair = (difference.first, difference.second)
+@said.register
+def _(result: Difference) -> str:
+    """Two models in one sentence and a table."""
+    pair = (result.first, result.second)
     names = list(dict.fromkeys(n for one in pair for n in one.candidate.free))
     rows = [
         [
-            name.replace(".", ": ").replace("_", " "),
+            plain(name),
             *(
                 plus_minus(one.values[name], one.sds.get(name)) if name in one.values else ""
                 for one in pair
@@ -87,25 +132,45 @@ def difference_html(difference: Difference) -> str:
         for name in names
     ]
     table = _table(["parameter", *(one.name for one in pair)], rows, (0,))
-    sentence = f"<p>{html.escape(difference_sentence(difference))}</p>"
-    picture = png_of(rivals_figure(difference.rivals))
-    return sentence + table + _picture(picture, "The trial in which the two models differ most.")
+    return _paragraph(difference_sentence(result)) + table
 
 
-def session_html(session: Session) -> str:
+@figure.register
+def _(result: Difference) -> Figure:
+    """The trial in which two models differ most."""
+    return rivals_figure(result.rivals)
+
+
+@said.register
+def _(result: Session) -> str:
     """The history of models; the present one stands out."""
-    floor = session.study.split.noise_floor()
+    floor = result.study.split.noise_floor()
     rows = [
         [
-            ("▶ " if i == session.place else "") + one.name,
+            ("▶ " if i == result.place else "") + one.name,
             *(plus_minus(one.values[n], one.sds.get(n)) for n in ("K", "B", "I")),
             *_errors_of(one),
         ]
-        for i, one in enumerate(session.history)
+        for i, one in enumerate(result.history)
     ]
     rows.append(["noise alone", "", "", "", f"{floor:.2g}" if floor else "unknown", ""])
     heads = ["model", "K [Nm/rad]", "B [Nms/rad]", "I [kg m²]", "E fitted", "E held out"]
     return _table(heads, rows, (0,))
+
+
+@said.register
+def _(result: Widths) -> str:
+    """Every parameter with its width, and whether the ellipse describes it."""
+    rows = [
+        [
+            plain(row.name),
+            with_unit(plus_minus(row.optimum, row.posterior_sd), row.unit),
+            range_text(*row.profile_95),
+            width_in_words(row.verdict),
+        ]
+        for row in result.rows
+    ]
+    return _table(["parameter", "value", "95 % by profile", "quadratic width"], rows, (0, 3))
 
 
 def _ranked_row(one: Ranked) -> list[str]:
@@ -145,6 +210,5 @@ def _table(heads: Sequence[str], rows: Sequence[Sequence[str]], text: Sequence[i
     )
 
 
-def _picture(picture: bytes, alt: str) -> str:
-    data, said = base64.b64encode(picture).decode(), html.escape(alt)
-    return f'<img style="max-width:100%" alt="{said}" src="data:image/png;base64,{data}">'
+def _paragraph(text: str) -> str:
+    return f"<p>{html.escape(text)}</p>"

@@ -8,11 +8,13 @@ from identifiability.errors import InputError
 from identifiability.investigation.across.agreement import Across
 from identifiability.investigation.findings import Findings
 from identifiability.investigation.next_experiment import NextExperiment
+from identifiability.investigation.posterior.claim import Claim
 from identifiability.investigation.posterior.probabilities import Probabilities
 from identifiability.investigation.unexplained.account import Unexplained
 from identifiability.investigation.where.compare import Comparison
 from identifiability.investigation.where.locate import Location
 from identifiability.investigation.wording.across import across_sentences
+from identifiability.investigation.wording.claim import claim_sentence
 from identifiability.investigation.wording.comparison import comparison_sentences
 from identifiability.investigation.wording.next_experiment import next_experiment_sentence
 from identifiability.investigation.wording.unexplained import unexplained_sentence
@@ -29,13 +31,15 @@ def describe(result: object) -> tuple[str, ...]:
 
     Parameters
     ----------
-    result : Comparison, Location, Unexplained, Probabilities, NextExperiment, Across or Findings
+    result : object
+        Comparison, Location, Unexplained, Probabilities, Claim, NextExperiment, Across or Findings.
 
     Returns
     -------
     tuple of str
-        One sentence an aspect of a comparison or a view of a location; one on what is left or on
-        the next experiment; one a set of effects; of findings the verdict and then its reasons.
+        One sentence an aspect of a comparison or a view of a location; one on what is left, on
+        what can be named or on the next experiment; one a set of effects; of findings the verdict
+        and then its reasons.
 
     Raises
     ------
@@ -49,7 +53,7 @@ def describe(result: object) -> tuple[str, ...]:
     """
     raise InputError(
         f"found {type(result).__name__}, expected what an investigation found: Findings, or a "
-        "Comparison, Location, Unexplained, Probabilities or NextExperiment, such as "
+        "Comparison, Location, Unexplained, Probabilities, Claim or NextExperiment, such as "
         "study.compare(candidate)"
     )
 
@@ -62,6 +66,11 @@ def _(result: Comparison) -> tuple[str, ...]:
 @describe.register
 def _(result: Probabilities) -> tuple[str, ...]:
     return probability_sentences(result)
+
+
+@describe.register
+def _(result: Claim) -> tuple[str, ...]:
+    return (claim_sentence(result),)
 
 
 @describe.register
