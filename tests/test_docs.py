@@ -1,5 +1,7 @@
 """What the pages tell users to write does what they say."""
 
+import doctest
+import importlib
 import re
 from pathlib import Path
 
@@ -13,7 +15,13 @@ from identifiability.measurement.readers.formats import READERS
 from identifiability.measurement.readers.trial_file import read_trial
 from identifiability.workbench.session import Session
 
-DOCS = Path(__file__).resolve().parents[1] / "docs"
+ROOT = Path(__file__).resolve().parents[1]
+DOCS = ROOT / "docs"
+EXAMPLES = sorted(
+    ".".join(path.relative_to(ROOT).with_suffix("").parts)
+    for path in (ROOT / "identifiability").rglob("*.py")
+    if ">>>" in path.read_text(encoding="utf-8")
+)
 
 
 def blocks(page):
@@ -58,3 +66,20 @@ def test_a_session_has_what_the_page_says():
     names = set(re.findall(r"session\.(\w+)", code))
     assert {"rank", "add", "undo", "compare"} <= names
     assert not [name for name in names if not hasattr(Session, name)]
+
+
+@pytest.mark.parametrize("module", EXAMPLES)
+def test_examples_of_docstrings_say_what_they_say(module, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    before = dict(READERS)
+    try:
+        source = (ROOT / Path(*module.split("."))).with_suffix(".py").read_text(encoding="utf-8")
+        assert "+SKIP" not in source
+        failed, tried = doctest.testmod(
+            importlib.import_module(module), optionflags=doctest.ELLIPSIS
+        )
+        assert tried
+        assert not failed
+    finally:
+        READERS.clear()
+        READERS.update(before)

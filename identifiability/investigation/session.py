@@ -108,12 +108,13 @@ class Investigation:
 
     Examples
     --------
-    >>> study = Investigation(trials)                    # doctest: +SKIP
-    >>> kbi = study.fit(KBI())                           # doctest: +SKIP
-    >>> posterior = study.weigh()                        # doctest: +SKIP
-    >>> study.claim(posterior).sets                      # doctest: +SKIP
-    (('stretch_reflex',),)
-    >>> better = study.fit(KBI() + StretchReflex())      # doctest: +SKIP
+    >>> from identifiability import EFFECTS, KBI, Investigation, describe, example_trials
+    >>> few = {key: EFFECTS[key] for key in ("series_tendon", "cubic_stiffness")}
+    >>> study = Investigation(example_trials(), library=few)
+    >>> describe(study.locate(study.fit(KBI())))[0]
+    'The residual exceeds the noise in 40 of 40 bins of time, most from 30 to 40 ms after the ...
+    >>> study.claim(study.weigh()).sets
+    (('series_tendon',),)
     """
 
     def __init__(

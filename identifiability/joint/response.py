@@ -62,6 +62,16 @@ def simulate(
     InputError
         Where the parameter vectors have the wrong length, the exact response is asked of a model
         that has none, or no number of steps that is tried is enough.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from identifiability import KBI, SeriesTendon, Step, simulate
+    >>> model = KBI() + SeriesTendon()
+    >>> values = model.vector({"K": 30.0, "B": 1.0, "I": 0.1, "series_tendon.stiffness": 60.0})
+    >>> angle = simulate(model, values, Step(amplitude=4.0).drive(np.arange(5000) / 1000))
+    >>> f"{angle[-1]:.3f} rad: muscle and tendon in series are {4 / angle[-1]:.1f} Nm/rad"
+    '0.200 rad: muscle and tendon in series are 20.0 Nm/rad'
     """
     theta = np.asarray(theta, float)
     n_parameters = len(model.parameter_names)

@@ -89,12 +89,17 @@ class Session:
 
     Examples
     --------
-    >>> session = Session(trials)                        # doctest: +SKIP
-    >>> for one in session.rank():                       # doctest: +SKIP
-    ...     print(one)                                   # each as it lands; stop when you like
-    >>> session.add("series_tendon")                     # doctest: +SKIP
-    K, B, I + series tendon: E = 0.000136, 0.000144 held out
-    >>> session.compare(session.pinned[0])               # doctest: +SKIP
+    >>> from identifiability import EFFECTS, Session, example_trials
+    >>> few = {key: EFFECTS[key] for key in ("series_tendon", "cubic_stiffness")}
+    >>> session = Session(example_trials(), library=few)
+    >>> for one in session.rank():  # each as it lands; stop when you like
+    ...     print(one)
+    + series tendon: +78... nats; K, B, I + series tendon: E = 0.00013..., 0.00014... held out
+    + cubic stiffness: ... nats; K, B, I + cubic stiffness: E = ... held out
+    >>> session.add("series_tendon")
+    K, B, I + series tendon: E = 0.00013..., 0.00014... held out
+    >>> session.compare(session.history[0])
+    K, B, I + series tendon is more probable than K, B, I: more than 99.9 %, if one of the two ...
     """
 
     def __init__(

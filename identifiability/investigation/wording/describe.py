@@ -48,8 +48,11 @@ def describe(result: object) -> tuple[str, ...]:
 
     Examples
     --------
-    >>> for sentence in describe(study.locate(kbi)):     # doctest: +SKIP
-    ...     print(sentence)
+    >>> from identifiability import EFFECTS, Investigation, describe, example_trials
+    >>> few = {key: EFFECTS[key] for key in ("series_tendon", "cubic_stiffness")}
+    >>> study = Investigation(example_trials(), library=few)
+    >>> describe(study.claim(study.weigh()))
+    ('Missing is series tendon, with a probability of more than 99.9 %.',)
     """
     raise InputError(
         f"found {type(result).__name__}, expected what an investigation found: Findings, or a "

@@ -39,16 +39,7 @@ READERS: dict[str, Reader] = {
 }
 """End of the name in lower case -> reader; the longest that fits.
 
-Examples
---------
-A format of one's own, here of numbers in pairs, angle [deg] and torque [Nm]:
-
->>> import numpy as np
->>> def read_pairs(path, options):
-...     angle, torque = np.fromfile(path).reshape(-1, 2).T
-...     return Table((angle, torque), ("angle_deg", "torque_Nm"), range(1, angle.size + 1))
->>> READERS[".pairs"] = read_pairs                            # doctest: +SKIP
->>> trial = read_trial("knee.pairs", rate=1000)               # doctest: +SKIP
+``docs/extend.md`` has an example of one's own.
 """
 
 
