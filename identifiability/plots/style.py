@@ -29,7 +29,7 @@ MARKERS = ("o", "s", "^", "D", "v", "P", "X")
 # Maps for quantities of one sign: `MAP` by default, `SECOND_MAP` where two quantities meet.
 MAP, SECOND_MAP = "viridis", "cividis"
 
-DPI, _DPI_SHOWN, _DPI_PRINTED = 130, 110, 300
+DPI, _DPI_SHOWN, _DPI_PRINTED = 130, 96, 300
 
 # Widths [inch] that journals print figures in: 85 and 180 mm.
 COLUMN, PAGE = 85 / 25.4, 180 / 25.4

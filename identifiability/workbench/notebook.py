@@ -36,9 +36,8 @@ def show_in_notebooks() -> None:
 def _show(result: object) -> None:
     from IPython.display import HTML, Image, display
 
-    from identifiability.plots.style import png_of
-    from identifiability.workbench.show import figure, said
+    from identifiability.workbench.show import picture, said
 
     display(HTML(said(result)))
-    if (drawn := figure(result)) is not None:
-        display(Image(png_of(drawn), format="png"))
+    if (drawn := picture(result)) is not None:
+        display(Image(drawn, format="png"))

@@ -6,9 +6,9 @@ import base64
 import html
 from collections.abc import Sequence
 from functools import singledispatch
+from typing import Literal
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from identifiability.inference.widths import Widths
 from identifiability.investigation.unexplained.account import Unexplained
@@ -55,14 +55,13 @@ def difference_sentence(difference: Difference) -> str:
 
 def page(result: object) -> str:
     """What was found, as one piece of HTML."""
-    drawn = figure(result)
+    drawn = picture(result)
     if drawn is None:
         return said(result)
-    data = base64.b64encode(png_of(drawn)).decode()
-    alt = html.escape(type(result).__name__)
-    return (
-        f'{said(result)}<img style="max-width:100%" alt="{alt}" src="data:image/png;base64,{data}">'
-    )
+    data = base64.b64encode(drawn).decode()
+    alt = type(result).__name__
+    shown = f'<img style="max-width:100%" alt="{alt}" src="data:image/png;base64,{data}">'
+    return said(result) + shown
 
 
 @singledispatch
@@ -72,15 +71,43 @@ def said(result: object) -> str:
 
 
 @singledispatch
-def figure(result: object) -> Figure | None:
-    """What was found as a figure, where there is one."""
+def picture(result: object) -> bytes | None:
+    """What was found as a picture (PNG), where there is one."""
     return None
 
 
-figure.register(Location, where_figure)
-figure.register(Comparison, comparison_figure)
-figure.register(Unexplained, unexplained_figure)
-figure.register(Widths, widths_figure)
+@picture.register
+def _(result: Location) -> bytes:
+    return png_of(where_figure(result))
+
+
+@picture.register
+def _(result: Comparison) -> bytes:
+    return png_of(comparison_figure(result))
+
+
+@picture.register
+def _(result: Unexplained) -> bytes:
+    return png_of(unexplained_figure(result))
+
+
+@picture.register
+def _(result: Widths) -> bytes:
+    return png_of(widths_figure(result))
+
+
+@picture.register
+def _(result: Attempt) -> bytes:
+    """What a model predicts."""
+    split = result.split
+    part: Literal["held_out", "fitted"] = "held_out" if split.held_out else "fitted"
+    return png_of(responses_figure(split, result.candidate, of=part))
+
+
+@picture.register
+def _(result: Difference) -> bytes:
+    """The trial in which two models differ most."""
+    return png_of(rivals_figure(result.rivals))
 
 
 @said.register
@@ -97,13 +124,6 @@ def _(result: Attempt) -> str:
     ]
     title = f"<p><b>{html.escape(result.name)}</b>: {html.escape(_errors(result))}</p>"
     return title + _table(["parameter", "value", ""], rows, (0, 2))
-
-
-@figure.register
-def _(result: Attempt) -> Figure:
-    """What a model predicts."""
-    split = result.split
-    return responses_figure(split, result.candidate, of="held_out" if split.held_out else "fitted")
 
 
 @said.register
@@ -133,12 +153,6 @@ def _(result: Difference) -> str:
     ]
     table = _table(["parameter", *(one.name for one in pair)], rows, (0,))
     return _paragraph(difference_sentence(result)) + table
-
-
-@figure.register
-def _(result: Difference) -> Figure:
-    """The trial in which two models differ most."""
-    return rivals_figure(result.rivals)
 
 
 @said.register
