@@ -77,7 +77,7 @@ def investigation_text(findings: Findings) -> str:
                 f"{range_text(low, high)}): {width_in_words(row.verdict)}"
             )
         loose = not_pinned_down(findings.widths, findings.split.rules.loose)
-        lines += ["", *map(loose_sentence, loose)]
+        lines += ["", *map(loose_sentence, loose)] if loose else []
     lines += [f"note: {warning}" for warning in findings.warnings]
     return "\n".join(lines)
 
