@@ -319,9 +319,9 @@ def test_the_page_does_not_drown_in_failures():
     assert f"Of 30 the first {MOST_LISTED}" in page(found)
 
 
-@pytest.mark.parametrize("failing", [3, 10**6])
-def test_every_figure_can_be_drawn_whatever_failed(plan, failing, tmp_path):
-    data = to_dataset(plan, made_up_outcomes(plan, failing=failing))
+def test_every_figure_can_be_drawn_whatever_failed(plan, tmp_path):
+    """Where nothing does, the whole command draws them."""
+    data = to_dataset(plan, made_up_outcomes(plan, failing=3))
     found = list(drawings(data))
     n_maps = 4 * len(plan.readings) + len(plan.perturbations)
     assert len({one.stem for one in found}) == len(found) == n_maps + 3
