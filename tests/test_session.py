@@ -162,6 +162,7 @@ def test_it_shows_itself(session):
     session.redo()
 
 
+@pytest.mark.parametrize("session", ["torque"], indirect=True)
 def test_what_it_finds_shows_itself_where_ipython_runs(session, monkeypatch):
     shell, shown = InteractiveShell(), []
     monkeypatch.setattr("IPython.display.display", shown.append)
@@ -184,6 +185,7 @@ def test_what_it_finds_shows_itself_where_ipython_runs(session, monkeypatch):
         assert [one.data[1:4] for one in shown[1:]] == [b"PNG"] * drawn, result
 
 
+@pytest.mark.parametrize("session", ["angle"], indirect=True)
 def test_the_widths_of_its_model_show_themselves(session):
     found = session.widths()
     assert found.names == session.now.candidate.free

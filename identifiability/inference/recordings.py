@@ -363,18 +363,6 @@ def fit_recordings(
     ------
     InputError
         Where there is no trial, or the trials are driven differently, or a window does not fit.
-
-    Examples
-    --------
-    >>> from identifiability import example_trials, fit_recordings
-    >>> found = fit_recordings(example_trials())
-    >>> f"{found.goodness.vaf:.1f} % of the variance"
-    '99.1 % of the variance'
-    >>> for row in found.widths.rows:
-    ...     print(f"{row.name} = {row.optimum:.3g} {row.unit}: {row.verdict}")
-    K = 34.8 Nm/rad: curved
-    B = 1.16 Nms/rad: agrees
-    I = 0.0936 kg m²: agrees
     """
     model = KBI() if model is None else model
     prior = Prior.recorded(model) if prior is None else prior

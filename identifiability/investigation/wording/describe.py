@@ -48,11 +48,9 @@ def describe(result: object) -> tuple[str, ...]:
 
     Examples
     --------
-    >>> from identifiability import EFFECTS, Investigation, describe, example_trials
-    >>> few = {key: EFFECTS[key] for key in ("series_tendon", "cubic_stiffness")}
-    >>> study = Investigation(example_trials(), library=few)
-    >>> describe(study.claim(study.weigh()))
-    ('Missing is series tendon, with a probability of more than 99.9 %.',)
+    >>> from identifiability import Claim, describe
+    >>> describe(Claim("effects", ("series_tendon",), (("series_tendon",),), 0.97))
+    ('Missing is series tendon, with a probability of 97 %.',)
     """
     raise InputError(
         f"found {type(result).__name__}, expected what an investigation found: Findings, or a "
