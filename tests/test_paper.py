@@ -235,7 +235,7 @@ def test_a_number_of_workers_below_one_is_refused(tmp_path):
 
 
 def test_quick_from_end_to_end(tmp_path, capsys, monkeypatch):
-    grid = paper.K_CE[::8], paper.B_CE[::7]
+    grid = paper.K_CE[::10], paper.B_CE[::14]
     monkeypatch.setattr(paper, "coarse", lambda: grid)
     assert _run(["--out", str(tmp_path), "--quick", "--workers", "1"]) == 0
     assert "paper.md" in capsys.readouterr().out
@@ -258,7 +258,7 @@ def test_quick_from_end_to_end(tmp_path, capsys, monkeypatch):
         setting, window = nearest_example(data)
         assert (setting.K_CE, window) == (found["figure6"]["K_CE"], found["figure6"]["T"])
         # What a worker found is what is found here, but for the order of sums: it has one thread.
-        row = paper.Row("pulse", 5.0, 0.1, float(data.K_CE[1]), (float(data.B_CE[2]),), paper.DE)
+        row = paper.Row("pulse", 5.0, 0.1, float(data.K_CE[1]), (float(data.B_CE[1]),), paper.DE)
         cell = data.sel(perturbation="pulse", T=0.1, K_CE=row.K_CE, B_CE=row.B_CE[0]).squeeze()
         here = paper.compute_row(row)["cells"][0]
         stored = [float(cell[name]) for name in paper.QUANTITIES]
