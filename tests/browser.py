@@ -25,7 +25,8 @@ def measured(page, drawings, folder, *, widths, dark=False):
     Skips where there is no Chromium.
     """
     text = page.read_text(encoding="utf-8")
-    on_paper = text.replace("@media print", "@media all").replace("@media screen", "@media not all")
+    on_paper = re.sub(r"@media screen and \([^)]*\)", "@media (max-width: 0)", text)
+    on_paper = on_paper.replace("@media print", "@media all")
     frames = [
         f'<iframe width={width} height=30000 frameborder=0 srcdoc="{html.escape(shown)}"></iframe>'
         for shown, width in [*((text, width) for width in widths), (on_paper, A4_PIXELS)]
@@ -52,6 +53,8 @@ def assert_laid_out(page, drawings, folder):
     """Nothing cut, nothing on top of each other, on every screen and on paper."""
     found = measured(page, drawings, folder, widths=WIDTHS)
     assert [one["width"] for one in found["pages"]] == [*WIDTHS, A4_PIXELS]
+    # On a telephone every row is a list; on paper it is a row.
+    assert [one["headed"] for one in found["pages"]] == [False, True, True, True]
     for one in found["pages"]:
         assert not one["scrolls"], one["width"]
         assert one["outside"] == [], one["width"]

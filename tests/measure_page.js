@@ -64,6 +64,9 @@ function page(frame) {
     scrolls: document.documentElement.scrollWidth > width,
     outside: outside(document, width),
     overlapping: overlapping(lines(document)),
+    headed: [...document.querySelectorAll("thead")].every(
+      (head) => frame.contentWindow.getComputedStyle(head).display !== "none",
+    ),
     background: frame.contentWindow.getComputedStyle(document.body).backgroundColor,
     figures: [...document.querySelectorAll("figure")].map((figure) => ({
       alt: figure.querySelector("img").alt,
