@@ -113,8 +113,6 @@ DRAWS = 20
 # As they came out. Of 60 bounds at 5 %, three are out by chance alone where every row is right.
 FAR = {
     ("gravity", "torque"): "15 of 20 at the stated size, 0 of 20 at a third",
-    # Colour that noise may have makes the odds of a weak tendon differ more than by their size.
-    ("series_tendon", "torque"): "19 of 20 at the stated size, 5 of 20 at a third",
     # A torque with hysteresis of any form is nearly as probable, whatever the size.
     ("short_range_stiffness", "angle"): "11 of 20 at the stated size, 5 of 20 at a third",
 }
