@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import base64
 import html
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import singledispatch
-from typing import Literal
+from typing import Any
 
 import numpy as np
 
@@ -70,44 +70,26 @@ def said(result: object) -> str:
     return "".join(map(_paragraph, describe(result)))
 
 
-@singledispatch
 def picture(result: object) -> bytes | None:
     """What was found as a picture (PNG), where there is one."""
-    return None
+    draw = _FIGURES.get(type(result))
+    return None if draw is None else png_of(draw(result))
 
 
-@picture.register
-def _(result: Location) -> bytes:
-    return png_of(where_figure(result))
-
-
-@picture.register
-def _(result: Comparison) -> bytes:
-    return png_of(comparison_figure(result))
-
-
-@picture.register
-def _(result: Unexplained) -> bytes:
-    return png_of(unexplained_figure(result))
-
-
-@picture.register
-def _(result: Widths) -> bytes:
-    return png_of(widths_figure(result))
-
-
-@picture.register
-def _(result: Attempt) -> bytes:
+def _predicted(attempt: Attempt) -> Any:
     """What a model predicts."""
-    split = result.split
-    part: Literal["held_out", "fitted"] = "held_out" if split.held_out else "fitted"
-    return png_of(responses_figure(split, result.candidate, of=part))
+    split = attempt.split
+    return responses_figure(split, attempt.candidate, of="held_out" if split.held_out else "fitted")
 
 
-@picture.register
-def _(result: Difference) -> bytes:
-    """The trial in which two models differ most."""
-    return png_of(rivals_figure(result.rivals))
+_FIGURES: dict[type, Callable[[Any], Any]] = {
+    Location: where_figure,
+    Comparison: comparison_figure,
+    Unexplained: unexplained_figure,
+    Widths: widths_figure,
+    Attempt: _predicted,
+    Difference: lambda difference: rivals_figure(difference.rivals),
+}
 
 
 @said.register
