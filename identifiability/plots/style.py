@@ -55,6 +55,7 @@ _STYLE: Any = {
     "lines.markersize": 5,
     "image.cmap": MAP,
     "figure.constrained_layout.use": True,
+    "text.hinting": "none",  # letters fitted to dots are wider at one resolution than at another
     "savefig.dpi": DPI,
     "svg.hashsalt": "identifiability",
     "pdf.fonttype": 42,  # letters that an editor of figures can edit
