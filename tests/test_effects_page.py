@@ -1,23 +1,27 @@
 """The page of effects says what the classes say."""
 
 import re
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from identifiability.cli.main import main
 from identifiability.joint.effects import DESCRIPTIONS, EFFECTS
 from identifiability.plots.effects import look_alikes_figure
+from identifiability.plots.joint_scheme import joint_scheme_figure
 from identifiability.report.effects import effects_page
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
+FIGURES = ("joint.svg", "effects.svg")
 
 
 def test_the_page_is_that_of_the_classes():
     page = (DOCS / "effects.md").read_text(encoding="utf-8")
     assert page == effects_page(EFFECTS, DESCRIPTIONS)
-    assert (DOCS / "effects.svg").is_file()
+    assert all((DOCS / name).is_file() for name in FIGURES)
 
 
 def test_every_effect_is_there_with_its_equation_and_source():
@@ -36,7 +40,19 @@ def test_the_command_lists_them_and_writes_the_page(tmp_path, capsys):
     said = capsys.readouterr().out
     assert all(key in said for key in EFFECTS)
     assert main(["effects", "--out", str(tmp_path / "docs")]) == 0
-    assert {p.name for p in (tmp_path / "docs").iterdir()} == {"effects.md", "effects.svg"}
+    assert {p.name for p in (tmp_path / "docs").iterdir()} == {"effects.md", *FIGURES}
+
+
+def test_every_effect_stands_somewhere():
+    figure = joint_scheme_figure(EFFECTS)
+    (axes,) = figure.axes
+    shown = [text.get_text() for text in axes.texts]
+    assert all(shown.count(key.replace("_", " ")) == 1 for key in EFFECTS)
+    # Nothing lies on anything else, and nothing is cut.
+    renderer = FigureCanvasAgg(figure).get_renderer()
+    boxes = [text.get_window_extent(renderer) for text in axes.texts if text.get_text()]
+    assert all(figure.bbox.contains(*corner) for box in boxes for corner in box.corners())
+    assert not any(a.overlaps(b) for a, b in combinations(boxes, 2))
 
 
 def curves(key):

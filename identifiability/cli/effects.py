@@ -15,7 +15,7 @@ def add_parser(commands: Any) -> None:
         "effects",
         help="the effects that are known: equations, typical values, sources, look-alikes",
         description="List the effects that an investigation knows; with --out write the page of "
-        "them, effects.md, and its figure.",
+        "them, effects.md, and its figures.",
         **with_examples("effects", "effects --out docs"),
     )
     parser.add_argument("--out", type=Path, metavar="DIR", help="folder for the page")
@@ -31,11 +31,13 @@ def run(options: argparse.Namespace) -> int:
         print_effects()
         return 0
     from identifiability.plots.effects import gallery_figure
+    from identifiability.plots.joint_scheme import joint_scheme_figure
     from identifiability.plots.style import save
     from identifiability.report.effects import effects_page
 
     out = output_folder(options.out)
+    save(joint_scheme_figure(EFFECTS), out / "joint.svg")
     save(gallery_figure(EFFECTS), out / "effects.svg")
     write_text(out / "effects.md", effects_page(EFFECTS, DESCRIPTIONS))
-    print(f"written: {out}/effects.md, effects.svg")
+    print(f"written: {out}/effects.md, joint.svg, effects.svg")
     return 0

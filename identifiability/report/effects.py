@@ -35,6 +35,9 @@ def effects_page(
         "# The effects that are known",
         "Made by `identifiability effects --out docs` from the classes themselves. An effect of "
         "your own is one\nmore such class ([example](../notebooks/06_your_own_effect.ipynb)).",
+        "![where each effect stands](joint.svg)",
+        "*Where each effect stands: K and B are the muscle's, I the limb's; torque and angle are "
+        "those of the apparatus.*",
         "![what each effect does to a pulse and a step](effects.svg)",
         "*One joint (K 30 Nm/rad, B 1 Nms/rad, I 0.1 kg m²), without and with every effect at its "
         "typical values. Beside its\nlook-alikes, in both experiments, each of them is in "
