@@ -8,7 +8,7 @@ from hidden import JOINT, trials
 from identifiability.inference.consistency import consistency
 from identifiability.inference.recordings import fit_recordings
 from identifiability.joint.model import KBI
-from identifiability.report.fit import answer
+from identifiability.report.fit import answer, structural
 
 UNITS = {"K": "Nm/rad", "B": "Nms/rad", "I": "kg m²"}
 
@@ -66,6 +66,18 @@ def test_the_answer_says_from_what_to_what():
         "K falls from 40.0 ± 1.0 Nm/rad to 28.0 ± 1.0 Nm/rad as the window grows from 100 ms to "
         "200 ms: it is not a property of this joint. Neither is B."
     )
+
+
+def test_a_structural_error_is_what_noise_leaves_of_a_difference():
+    windows = [(0.1, (36, 3, 1))]
+    K, B, I = consistency(fitted((30, 1, 1), (30, 1, 9), windows)).structural
+    # Each window has a variance of 1: two of the squared difference of 6 are noise.
+    assert (K.width, K.error) == (1, pytest.approx(34**0.5))
+    assert (B.unit, B.error) == ("Nms/rad", 0)
+    # Least squares are of the same samples.
+    assert pytest.approx(63**0.5) == I.error
+    said = structural(consistency(fitted((30, 1, 1), (30, 1, 9), windows)))
+    assert said == "K 1 and 5.8 Nm/rad, B 1 Nms/rad and none seen, I 1 and 7.9 kg m²"
 
 
 @pytest.mark.long

@@ -61,6 +61,26 @@ class Disagreement:
 
 
 @dataclass(frozen=True)
+class Structural:
+    """Structural error of a parameter beside its statistical width.
+
+    Attributes
+    ----------
+    name, unit : str
+    width : float
+        Standard deviation of the posterior of whole records.
+    error : float
+        How far windows or least squares differ beyond what the noise explains; 0 where it explains
+        all. A lower bound: what is wrong in the same way in all of them is not seen.
+    """
+
+    name: str
+    unit: str
+    width: float
+    error: float
+
+
+@dataclass(frozen=True)
 class Consistency:
     """Whether K, B and I are properties of what was recorded.
 
@@ -73,11 +93,14 @@ class Consistency:
         T [s] of those that were fitted.
     largest : tuple of Disagreement
         By parameter the largest, of what the kind says; none where nothing was tested.
+    structural : tuple of Structural
+        By parameter.
     """
 
     kind: Kind
     windows: tuple[float, ...]
     largest: tuple[Disagreement, ...]
+    structural: tuple[Structural, ...]
 
     @property
     def notable(self) -> tuple[Disagreement, ...]:
@@ -100,16 +123,27 @@ def consistency(result: RecordingFit) -> Consistency:
         least = Reading(None, result.least_squares[row.name], None)
         size = abs(least.value - row.optimum) / max(_sd(row), 1e-300)
         by_weights.append(Disagreement(row.name, row.unit, least, _reading(None, row), size))
+    structural = tuple(
+        Structural(row.name, row.unit, _sd(row), max(map(_beyond_noise, pair)))
+        for row, *pair in zip(result.widths.rows, by_window, by_weights, strict=True)
+    )
     if windows:
-        found = Consistency("depends on the window", windows, tuple(by_window))
+        found = Consistency("depends on the window", windows, tuple(by_window), structural)
         if found.notable:
             return found
-    found = Consistency("depends on the weights", windows, tuple(by_weights))
+    found = Consistency("depends on the weights", windows, tuple(by_weights), structural)
     if found.notable:
         return found
     if windows:
-        return Consistency("the same", windows, tuple(by_window))
-    return Consistency("not tested", (), ())
+        return Consistency("the same", windows, tuple(by_window), structural)
+    return Consistency("not tested", (), (), structural)
+
+
+def _beyond_noise(one: Disagreement) -> float:
+    """What noise leaves of a difference, its variance taken off."""
+    if one.size < _NOTABLE:
+        return 0.0
+    return abs(one.first.value - one.second.value) * float(np.sqrt(1 - one.size**-2))
 
 
 def _largest(fits: Sequence[tuple[float | None, Width]]) -> Disagreement:

@@ -13,7 +13,7 @@ from identifiability.joint.effects import Effect
 from identifiability.palette import BLACK, BLUE, GREEN, GREY, ORANGE, PURPLE, VERMILLION
 from identifiability.plots.style import PAGE, printed
 
-_HEIGHT = 2.75  # inches; all that is drawn is placed in inches
+_HEIGHT = 2.75  # inches; all that is drawn is placed in inches, but for the margin
 _WALL, _LIMB, _APPARATUS = 6.9, (2.75, 3.4), (0.15, 1.35)
 _ABOVE, _BESIDE = 2.3, 0.72  # heights of muscle and tendon, and of what acts beside them
 _COLUMN, _LINE = 1.4, 0.125  # inches
@@ -34,8 +34,9 @@ def joint_scheme_figure(effects: Mapping[str, type[Effect]]) -> Figure:
     ----------
     effects : mapping of str to type of Effect
     """
-    figure = Figure(figsize=(PAGE, _HEIGHT), layout="none")
-    axes = figure.add_axes((0, 0, 1, 1), xlim=(0, PAGE), ylim=(0, _HEIGHT))
+    figure = Figure(figsize=(PAGE, _HEIGHT))
+    axes = figure.subplots()
+    axes.set(xlim=(0, PAGE), ylim=(0, _HEIGHT))
     axes.set_axis_off()
     names = {
         place: [k.replace("_", " ") for k, kind in effects.items() if kind.place == place]

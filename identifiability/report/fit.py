@@ -7,7 +7,7 @@ from pathlib import Path
 
 from identifiability.files import write_json, write_text
 from identifiability.inference.archive import write_netcdf
-from identifiability.inference.consistency import Consistency, consistency
+from identifiability.inference.consistency import Consistency, Structural, consistency
 from identifiability.inference.recordings import Goodness, RecordingFit
 from identifiability.inference.records import fit_record
 from identifiability.inference.widths import Width
@@ -63,6 +63,18 @@ def answer(found: Consistency) -> str:
     return f"{said}: it is not a property of this joint." + (f"{also}." if others else "")
 
 
+def structural(found: Consistency) -> str:
+    """Statistical width of K, B and I, and beside it their structural error, in a line."""
+
+    def said(one: Structural) -> str:
+        width = number(one.width, 2)
+        if not one.error:
+            return f"{one.name} {width} {one.unit} and none seen"
+        return f"{one.name} {width} and {number(one.error, 2)} {one.unit}"
+
+    return ", ".join(map(said, found.structural))
+
+
 def advice(found: Consistency) -> str:
     """What to do next."""
     if found.kind == "the same":
@@ -104,8 +116,9 @@ def _write_report(result: RecordingFit, title: str, out: Path) -> list[str]:
                 "was not fitted.",
             )
         )
+    box.append(("Statistical width and structural error", f"{structural(found)}."))
     page.box(answer(found), [*box, ("Next", advice(found))])
-    _values(page, result)
+    _values(page, result, found)
     page.items([*_noise_lines(result), *(f"note: {warning}" for warning in result.warnings)])
     figures.show(
         "overlay",
@@ -142,7 +155,7 @@ def _vaf(goodness: Goodness) -> str:
     return vaf_text(1 - goodness.vaf / 100)
 
 
-def _values(page: Page, result: RecordingFit) -> None:
+def _values(page: Page, result: RecordingFit, found: Consistency) -> None:
     """K, B and I by every way to fit them."""
     rows, held, least = result.widths.rows, result.held_out, result.least_squares
     table = [["whole records", *(plus_minus(r.optimum, r.posterior_sd) for r in rows), ""]]
@@ -155,6 +168,8 @@ def _values(page: Page, result: RecordingFit) -> None:
         values = [number(held.fit[r.name], 4) for r in rows]
         vaf = f"{_vaf(held.goodness_held_out)} on {held.held_out}"
         table.append([f"{held.fitted}, least squares", *values, vaf])
+    errors = [number(one.error, 2) if one.error else "none seen" for one in found.structural]
+    table.append(["structural error", *errors, ""])
     page.table(
         ["fitted to", *(f"{r.name} [{r.unit}]" for r in rows), "VAF [%]"],
         table,
@@ -163,7 +178,9 @@ def _values(page: Page, result: RecordingFit) -> None:
     page.paragraph(
         "± is one standard deviation of the posterior, with level and colour of the noise of both "
         "channels estimated beside K, B and I. It is the uncertainty of K, B and I only if the "
-        "joint is K, B and I: what the model misses counts as noise."
+        "joint is K, B and I: what the model misses counts as noise. The structural error is how "
+        "far windows, whole records and least squares differ beyond that; what is wrong alike in "
+        "all of them is not in it."
     )
 
 
@@ -207,6 +224,7 @@ def fit_text(result: RecordingFit) -> str:
         advice(consistency(result)),
         "",
         widths_text(result.widths),
+        f"statistical width and structural error: {structural(consistency(result))}",
         "",
         *_noise_lines(result),
         f"least squares (smallest E): {values}; {quality(result.goodness)}",
