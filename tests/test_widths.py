@@ -7,11 +7,14 @@ import numpy as np
 import pytest
 import xarray
 from cases import SPREAD, A, Case, fit_of, problem_of, widths_of
+from matplotlib.patches import Rectangle
 
 from identifiability.inference.archive import to_datatree, write_netcdf
 from identifiability.inference.curvature import curvature
 from identifiability.inference.sampling import Posterior, sample
 from identifiability.inference.widths import VERDICTS, judge, widths
+from identifiability.investigation.wording.values import width_in_words
+from identifiability.plots.corner import corner_figure
 from identifiability.provenance import package_version
 
 AGREEING = [case for case, verdicts in SPREAD.items() if verdicts == (A, A, A)]
@@ -57,6 +60,20 @@ def test_posterior_departs_from_the_hessian_where_it_says_so(case):
         assert abs(row.posterior_sd - row.quadratic) > 4 * row.posterior_sd_mcse
         # It is the posterior that departs, not the sampler.
         assert abs(row.posterior_sd - row.quadrature_sd) < 4 * row.posterior_sd_mcse
+
+
+@pytest.mark.parametrize("case", [AGREEING[0], TRUNCATED], ids=str)
+def test_a_corner_plot_shows_the_bound_that_cuts_the_posterior(case):
+    result = widths_of(case)
+    figure = corner_figure(result, problem_of(case))
+    said = [text.get_text() for text in figure.legends[0].get_texts()]
+    names = [f"{row.name}: {width_in_words(row.verdict)}" for row in result.rows]
+    assert said[-3:] == names
+    assert ("beyond a bound" in said) == (case is TRUNCATED)
+    shaded = [p for axes in figure.axes for p in axes.patches if isinstance(p, Rectangle)]
+    ends = [p.get_x() + p.get_width() for p in shaded if p.get_height() == 1]
+    assert all(end == pytest.approx(0) for end in ends)  # neither K nor B is below 0
+    assert (len(ends) >= 5) == (case is TRUNCATED)
 
 
 def test_a_wrong_hessian_would_be_noticed():

@@ -45,7 +45,7 @@ def corner_plot(corner: Corner) -> Arrays:
     """Corner plot of a cell, as the bytes of a PNG file, with the cell's verdict and reason."""
     problem = corner.cell.problem()
     found = corner.cell.widths(problem)
-    figure = corner_figure(found, problem.model, title=corner.caption)
+    figure = corner_figure(found, problem, title=corner.caption)
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", dpi=DPI, metadata={"Software": None})
     return {

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import textwrap
+from collections.abc import Callable
 
 import corner
 import matplotlib as mpl
@@ -11,24 +12,26 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Ellipse, Patch
 
+from identifiability.inference.problem import Problem
 from identifiability.inference.widths import Widths
-from identifiability.joint.model import Model
-from identifiability.palette import BLACK, BLUE, GREEN, VERMILLION
+from identifiability.investigation.wording.values import width_in_words
+from identifiability.palette import BLACK, BLUE, GREEN, GREY, VERMILLION
 from identifiability.plots.style import PAGE, printed
 
 # Mass inside 1 and 2 standard deviations of a two-dimensional Gaussian: 1 - exp(-r²/2).
 LEVELS = (0.3935, 0.8647)
+_SHADE = 0.35  # of what no parameter can be
 
 
 @printed
-def corner_figure(result: Widths, model: Model, *, title: str = "") -> Figure:
+def corner_figure(result: Widths, problem: Problem, *, title: str = "") -> Figure:
     """Draw the posterior of all parameters with everything it is compared to.
 
     Parameters
     ----------
     result : Widths
-    model : Model
-        For symbols and units.
+    problem : Problem
+        That they are of: its bounds are shaded where they are near.
     title : str
 
     Returns
@@ -38,7 +41,7 @@ def corner_figure(result: Widths, model: Model, *, title: str = "") -> Figure:
         dimensions.
     """
     names, draws = result.names, result.posterior.flat
-    parameters = model.parameters
+    parameters = problem.model.parameters
     labels = [f"${parameters[n].symbol}$ [{parameters[n].unit}]" for n in names]
     optimum, covariance = result.fit.values, result.curvature.covariance
     low, high = np.quantile(draws, [0.001, 0.999], axis=0)
@@ -66,10 +69,15 @@ def corner_figure(result: Widths, model: Model, *, title: str = "") -> Figure:
         hist_kwargs={"density": True, "linewidth": 1.2},
     )
     axes = np.array(figure.axes).reshape(k, k)
+    bounds = list(zip(problem.lower, problem.upper, strict=True))
+    bounded = False
     for i in range(k):
         _marginal(axes[i, i], result, i)
+        for panel in axes[i:, i]:
+            bounded |= _shade(panel.axvspan, limits[i], bounds[i])
         for j in range(i):
             panel = axes[i, j]
+            _shade(panel.axhspan, limits[i], bounds[i])
             panel.plot(optimum[j], optimum[i], "+", color=BLACK, markersize=8, mew=1.2)
             _ellipse(panel, optimum[[j, i]], covariance[np.ix_([j, i], [j, i])])
     figure.legend(
@@ -78,8 +86,9 @@ def corner_figure(result: Widths, model: Model, *, title: str = "") -> Figure:
             Line2D([], [], color=VERMILLION, label="quadratic: Hessian (39.3 % in 2-D)"),
             Line2D([], [], color=GREEN, ls="--", label="profile likelihood"),
             Line2D([], [], color=BLACK, marker="+", ls=":", label="optimum"),
+            *([Patch(facecolor=GREY, alpha=_SHADE, label="beyond a bound")] if bounded else []),
             *(
-                Line2D([], [], ls="none", label=f"{r.name}, quadratic width: {r.verdict}")
+                Line2D([], [], ls="none", label=f"{r.name}: {width_in_words(r.verdict)}")
                 for r in result.rows
             ),
         ],
@@ -88,6 +97,17 @@ def corner_figure(result: Widths, model: Model, *, title: str = "") -> Figure:
         title=textwrap.fill(title, 44) or None,
     )
     return figure
+
+
+def _shade(
+    span: Callable[..., object], limits: tuple[float, float], bounds: tuple[float, float]
+) -> bool:
+    """Shade what of an axis lies beyond a parameter's bounds; whether any does."""
+    pairs = ((limits[0], bounds[0]), (bounds[1], limits[1]))
+    beyond = [ends for ends in pairs if ends[0] < ends[1]]
+    for ends in beyond:
+        span(*ends, color=GREY, alpha=_SHADE, lw=0)
+    return bool(beyond)
 
 
 def _marginal(panel: object, result: Widths, i: int) -> None:

@@ -137,7 +137,7 @@ def _write_report(result: RecordingFit, title: str, out: Path) -> list[str]:
         )
     figures.show(
         "corner",
-        lambda: corner_figure(result.widths, result.problem.model, title=title),
+        lambda: corner_figure(result.widths, result.problem, title=title),
         "Posterior of K, B and I, with the ellipse of the quadratic estimate.",
         "Contours of the posterior of each two of K, B and I, and its histogram of each.",
     )

@@ -36,7 +36,7 @@ def write_widths(
         What the record says of setting and measurement.
     """
     write_netcdf(problem, result, out / "posterior.nc")
-    save(corner_figure(result, problem.model, title=title), out / "corner.png")
+    save(corner_figure(result, problem, title=title), out / "corner.png")
     write_json(out / "widths.json", widths_record(result, conditions or {}))
 
 
