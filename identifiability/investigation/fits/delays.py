@@ -7,6 +7,7 @@ where it began.
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -14,6 +15,7 @@ import numpy as np
 from identifiability.inference.conditional import one_by_one
 from identifiability.inference.fitting import Fit, explore
 from identifiability.inference.problem import Problem
+from identifiability.joint.programs import THREADS
 
 _POINTS = 12  # 20 % apart for a reflex
 _NEAR = np.array([0.5, 1.0, 1.5, 2.0])  # samples from the best
@@ -55,22 +57,32 @@ def _profiled(problem: Problem, best: Fit, index: int, evaluations: int) -> Fit:
     return _taken_up(problem, best, index, np.clip(near, lower, upper), evaluations)
 
 
+def _along(
+    problem: Problem, point: np.ndarray, index: int, delays: np.ndarray
+) -> list[tuple[np.ndarray, float]]:
+    """The others' best values at one delay after the other, and the log likelihood there."""
+    found = []
+    for value in delays:
+        start = point.copy()
+        start[index] = value
+        try:
+            solved = one_by_one(problem, (index,), start[None])
+        except (ValueError, np.linalg.LinAlgError):  # no finite response at this delay
+            break
+        point = solved.points[0]
+        found.append((point, float(solved.log_likelihood[0])))
+    return found
+
+
 def _taken_up(problem: Problem, best: Fit, index: int, grid: np.ndarray, evaluations: int) -> Fit:
     """The fit, or a better one from the best places of the profile over a grid."""
     here = best.values[index]
     points, heights = [best.values], [-best.cost]
-    for side in (grid[grid > here], grid[grid < here][::-1]):
-        point = best.values
-        for value in side:
-            start = point.copy()
-            start[index] = value
-            try:
-                solved = one_by_one(problem, (index,), start[None])
-            except (ValueError, np.linalg.LinAlgError):  # no finite response at this delay
-                break
-            point = solved.points[0]
-            points.append(point)
-            heights.append(float(solved.log_likelihood[0]))
+    with ThreadPoolExecutor(THREADS) as pool:
+        sides = (grid[grid > here], grid[grid < here][::-1])
+        for side in pool.map(lambda one: _along(problem, best.values, index, one), sides):
+            points += [point for point, _ in side]
+            heights += [height for _, height in side]
     order = np.argsort([point[index] for point in points])
     height = np.array(heights)[order]
     height = np.where(np.isfinite(height), height, -np.inf)

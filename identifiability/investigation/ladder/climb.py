@@ -7,6 +7,7 @@ least squares to the others.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 from identifiability.inference.starts import starting_values
@@ -17,6 +18,7 @@ from identifiability.investigation.ladder.found import Found, Missing, Tried
 from identifiability.investigation.posterior.claim import Claim
 from identifiability.investigation.posterior.probabilities import Probabilities
 from identifiability.joint.effects import Effect
+from identifiability.joint.programs import THREADS
 from identifiability.progress import Progress, silent
 
 Keys = tuple[str, ...]
@@ -121,9 +123,11 @@ class _Climb:
         if final.failure:
             return final, ()
         fits: dict[Keys, Candidate] = {(): self.baseline}
-        for i, one in enumerate(wanted):
-            self.progress(f"fitting {' + '.join(['K, B, I', *one])}", i, len(wanted) + 1)
-            fits[one] = self._fit(one, final)
+        with ThreadPoolExecutor(THREADS) as pool:
+            done = pool.map(lambda one: self._fit(one, final), wanted)
+            for i, one in enumerate(wanted):
+                self.progress(f"fitting {' + '.join(['K, B, I', *one])}", i, len(wanted) + 1)
+                fits[one] = next(done)
         fits[keys] = self._at_least(final, fits[rungs[-2]]) if len(rungs) > 1 else final
         out: list[Missing] = []
         before: float | None = 0.0
