@@ -170,12 +170,11 @@ class Workbench:
             wanted = self._apriori(model, starts)
             if wanted.is_finer_than(_FINEST_START):
                 wanted = _FINEST_START
-            for i in range(_ROUNDS):
+            for _ in range(_ROUNDS):
                 problem = self.problem(model, self.split.fitted, refined=refined, scheme=wanted)
                 points = np.array([problem.free_vector(s) for s in reached])
                 best = explore(problem, points, evaluations=THOROUGH, further=FURTHER)
-                if i == 0:  # finer steps move a delay, but not from one wave to another
-                    best = delays_profiled(problem, best, evaluations=THOROUGH)
+                best = delays_profiled(problem, best, evaluations=THOROUGH)
                 reached = _distinct(model, problem, best)
                 parts, moved, excess = self._checked(problem, reached[0])
                 wanted = self._wanted(problem, excess)
