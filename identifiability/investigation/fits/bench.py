@@ -174,6 +174,7 @@ class Workbench:
                 problem = self.problem(model, self.split.fitted, refined=refined, scheme=wanted)
                 points = np.array([problem.free_vector(s) for s in reached])
                 best = explore(problem, points, evaluations=THOROUGH, further=FURTHER)
+                # In every round: by longer steps a long record may seem to prefer another wave.
                 best = delays_profiled(problem, best, evaluations=THOROUGH)
                 reached = _distinct(model, problem, best)
                 parts, moved, excess = self._checked(problem, reached[0])
