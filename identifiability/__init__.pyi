@@ -2,7 +2,7 @@ from .benchmark.cases import CaseSpec, HiddenCase, hidden_cases
 from .benchmark.protocol import Recorder
 from .errors import InputError
 from .inference.archive import to_datatree, write_netcdf
-from .inference.consistency import Consistency, Disagreement, Reading, consistency
+from .inference.consistency import Consistency, Disagreement, Reading, Structural, consistency
 from .inference.curvature import Curvature, curvature, largest_change
 from .inference.fitting import Fit, fit, fit_simplex
 from .inference.likelihood.coloured import Colour
@@ -203,6 +203,7 @@ __all__ = [  # noqa: RUF022 -- in the order of use
     "Consistency",
     "Disagreement",
     "Reading",
+    "Structural",
     "HeldOut",
     "Goodness",
     "investigate",
