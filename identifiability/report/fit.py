@@ -213,18 +213,18 @@ def fit_text(result: RecordingFit) -> str:
     def quality(goodness: Goodness) -> str:
         return f"E = {goodness.error:.3g}, VAF = {goodness.vaf:.2f} %"
 
-    least = result.least_squares
+    found, least = consistency(result), result.least_squares
     values = ", ".join(f"{n} {least[n]:.4g}" for n in least.names)
     apart = ", ".join(
         f"{row.name} {abs(least[row.name] - row.optimum) / row.posterior_sd:.1f}"
         for row in result.widths.rows
     )
     lines = [
-        answer(consistency(result)),
-        advice(consistency(result)),
+        answer(found),
+        advice(found),
         "",
         widths_text(result.widths),
-        f"statistical width and structural error: {structural(consistency(result))}",
+        f"statistical width and structural error: {structural(found)}",
         "",
         *_noise_lines(result),
         f"least squares (smallest E): {values}; {quality(result.goodness)}",
