@@ -47,7 +47,7 @@ def test_notebook_is_kept_with_its_outputs_and_uses_public_names_only(path):
     assert all(cell["execution_count"] for cell in code)
     assert any("image/png" in o.get("data", {}) for cell in code for o in cell["outputs"])
     assert not any(o["output_type"] == "error" for cell in code for o in cell["outputs"])
-    assert path.stat().st_size < 600_000
+    assert path.stat().st_size < 500_000
     source = "\n".join("".join(cell["source"]) for cell in code)
     lines = [line for line in source.splitlines() if not line.startswith("%")]
     for node in ast.walk(ast.parse("\n".join(lines))):

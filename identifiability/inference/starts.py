@@ -18,7 +18,7 @@ _FACTORS = (0.4, 1.0, 2.5)
 _WIDE = (0.15, 0.3, 0.55, 1.0, 1.8, 4.0, 10.0)
 _NARROW = 3  # ratio of bounds up to which starts between them are equally spaced
 _SOFTER = (3.0, 10.0)  # stiffness of a tendon over the joint's
-_WIDELY_SOFTER = (1.0, 3.0, 10.0)
+_WIDELY_SOFTER = (1.0, 3.0, 10.0, 100.0)
 _MOST_STARTS, _MOST_WIDELY = 6, 28
 _PART = 0.1  # of the torque, that a property makes of which regression finds nothing
 

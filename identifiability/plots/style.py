@@ -17,6 +17,7 @@ from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatterSciNotation, NullFormatter, ScalarFormatter
+from PIL import Image
 
 from identifiability.files import replacing
 from identifiability.numerals import power_of_ten
@@ -177,10 +178,12 @@ def save_printed(figure: Figure, folder: Path, name: str) -> list[Path]:
 
 def png_of(figure: Figure) -> bytes:
     """Bytes of a figure, as large as a notebook or a page shows it."""
-    drawn = io.BytesIO()
+    drawn, packed = io.BytesIO(), io.BytesIO()
     with styled():
         figure.savefig(drawn, format="png", dpi=_DPI_SHOWN, metadata={"Software": None})
-    return drawn.getvalue()
+    # Nothing shows through, so notebooks need not keep how much does.
+    Image.open(drawn).convert("RGB").save(packed, "png", optimize=True)
+    return packed.getvalue()
 
 
 def letter(axes: Axes, text: str) -> None:

@@ -238,7 +238,14 @@ class Evaluator:
             # In longer steps than the other's it could not be as likely.
             if nested.scheme.is_finer_than(problem.integration):
                 problem = problem.with_scheme(nested.scheme)
-            found = self.settled(problem, start, nested.weights, refined, rounds=1, further=0)
+            while True:
+                found = self.settled(problem, start, nested.weights, refined, rounds=1, further=0)
+                if found.log_likelihood >= nested.log_likelihood - _MISSED:
+                    break
+                # Nor could it in steps that do not resolve what the other has exactly.
+                if (finer := self._finer(problem, found)) is None:
+                    break
+                problem = problem.with_scheme(finer)
             best = max(best, found, key=lambda one: one.log_evidence)
         while resolved and (finer := self._finer(problem, best)) is not None:
             problem = problem.with_scheme(finer)
