@@ -18,6 +18,7 @@ from identifiability.inference.sampling import sample
 # Truncated by a bound and curved, so that a wrong sampler has something to get wrong.
 REFERENCE = Case(32, 3.2, 100, 0.1)
 GAUSSIAN = Case(32, 3.2, 100, 0.1, "energy")
+BENT = Case(32, 3.2, 100, 0.003)  # far from any t
 
 
 def scores(posterior, moments):
@@ -214,24 +215,24 @@ def test_walkers_that_stay_where_they_begin_do_not_pass_for_convergence(monkeypa
         best * 1.2, 1e6 * curvature(problem, best).hessian, problem.lower, problem.upper
     )
     monkeypatch.setattr(sampling, "_laplace", lambda *_: off)
-    posterior = drawn(GAUSSIAN, quick=True)
-    assert posterior.rhat_nested.min() > 2
-    assert not posterior.converged
+    for seed in (1, 2, 3):
+        posterior = drawn(GAUSSIAN, seed, quick=True)
+        assert posterior.rhat_nested.min() > 1.2  # of which 1.01 is asked
+        assert not posterior.converged
 
 
 def test_a_response_that_takes_long_is_sampled_by_few_draws_that_own_up_to_it(monkeypatch):
-    monkeypatch.setattr(sampling, "EFFICIENCY_LIMIT", 1.11)
-    usual = drawn(REFERENCE, quick=True)
+    usual = drawn(BENT, quick=True)
     assert usual.step == "mixture-t"
     monkeypatch.setattr(problem_module, "_LONG", 0)
     monkeypatch.setattr(sampling, "_pilot", None)
-    few = drawn(REFERENCE, quick=True)
+    few = drawn(BENT, quick=True)
     assert "one response takes long" in few.reason
     assert few.draws.size < 0.2 * usual.draws.size
     assert not few.converged
     # At full effort there is no such limit: then it would have to make a pilot run.
     with pytest.raises(TypeError, match="not callable"):
-        drawn(REFERENCE)
+        drawn(BENT)
 
 
 def narrow_run(begin_apart):

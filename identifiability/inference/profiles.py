@@ -9,6 +9,7 @@ import numpy as np
 
 from identifiability.inference.conditional import conditional_optima
 from identifiability.inference.curvature import Curvature, curvature
+from identifiability.inference.evaluation import CONVERGED
 from identifiability.inference.problem import Problem
 
 # Drops of the log likelihood at the ends of one parameter's 68.27 and 95 % intervals (chi²).
@@ -137,14 +138,18 @@ def profile(
     )
 
 
-def reach(problem: Problem, optimum: np.ndarray, index: int, drop: float) -> tuple[float, float]:
+def reach(
+    problem: Problem, optimum: np.ndarray, index: int, drop: float, *, accuracy: float = CONVERGED
+) -> tuple[float, float]:
     """Range of a parameter outside of which its profile lies more than `drop` below the optimum."""
     optimum = np.asarray(optimum, float)
     top = float(problem.log_likelihood(optimum[None])[0])
     shape = curvature(problem, optimum)
     limits = []
     for direction in (-1, 1):
-        path, drops = _follow(problem, optimum, top, shape, index, direction, drop)
+        path, drops = _follow(
+            problem, optimum, top, shape, index, direction, drop, accuracy=accuracy
+        )
         bound = (problem.lower if direction < 0 else problem.upper)[index]
         limits.append(_end(problem, index, top, drop, optimum, path, drops, bound, rounds=0)[0])
     return limits[0], limits[1]
@@ -159,6 +164,7 @@ def _follow(
     direction: int,
     drop: float = _REACH,
     points: int = POINTS,
+    accuracy: float = CONVERGED,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Profile on one side, outwards, until it has fallen by `drop` or meets the bound."""
     bound = (problem.lower if direction < 0 else problem.upper)[index]
@@ -193,7 +199,7 @@ def _follow(
         still[:, index] = values
         ridge[:, index] = values
         tried = [ridge, still] if points >= POINTS else [ridge]
-        solved = conditional_optima(problem, (index,), np.concatenate(tried))
+        solved = conditional_optima(problem, (index,), np.concatenate(tried), accuracy=accuracy)
         likelihoods = solved.log_likelihood.reshape(len(tried), -1)
         better = np.argmax(likelihoods, axis=0)
         found = solved.points.reshape(len(tried), len(values), -1)[better, np.arange(len(values))]

@@ -63,8 +63,8 @@ class StudentMixture:
         k = self.means.shape[1]
         terms = []
         for weight, mean, factor in zip(self.weights, self.means, self.factors, strict=True):
-            z = np.linalg.solve(factor, (points - mean).T)
-            squared = np.sum(z**2, axis=0)
+            z = (points - mean) @ np.linalg.inv(factor).T
+            squared = np.einsum("nk,nk->n", z, z)
             log_scale = np.sum(np.log(np.diag(factor)))
             terms.append(
                 np.log(weight) - log_scale - 0.5 * (self.df + k) * np.log1p(squared / self.df)
@@ -75,9 +75,11 @@ class StudentMixture:
 
     def _draw_uncut(self, n: int, random: np.random.RandomState) -> np.ndarray:
         k = self.means.shape[1]
-        component = random.choice(len(self.weights), size=n, p=self.weights)
         normal = random.standard_normal((n, k))
         stretch = np.sqrt(self.df / random.chisquare(self.df, n))
+        if len(self.weights) == 1:
+            return np.asarray(self.means[0] + stretch[:, None] * (normal @ self.factors[0].T))
+        component = random.choice(len(self.weights), size=n, p=self.weights)
         for i, factor in enumerate(self.factors):
             chosen = component == i
             normal[chosen] = normal[chosen] @ factor.T

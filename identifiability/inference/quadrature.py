@@ -10,6 +10,7 @@ where they do no harm to the rule's convergence.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -134,7 +135,7 @@ def _parts(problem: Problem, modes: list[np.ndarray]) -> list[_Part]:
     heights = problem.log_likelihood(np.array(modes))
     parts: list[_Part] = []
     for mode, height in zip(modes, heights, strict=True):
-        low, high = reach(problem, mode, 0, _DROP - float(heights[0] - height))
+        low, high = reach(problem, mode, 0, _DROP - float(heights[0] - height), accuracy=_ROUGH)
         apart = [p for p in parts if p.ends[1] <= low or high <= p.ends[0]]
         met = [p for p in parts if p.ends[0] < high and low < p.ends[1]]
         ends = [(low, high), *(p.ends for p in met)]
@@ -252,8 +253,11 @@ def _fall(
     return distances
 
 
+_rule = cache(np.polynomial.legendre.leggauss)
+
+
 def _legendre(lower: np.ndarray, upper: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
     """Gauss-Legendre nodes and weights on each interval, shape (n_intervals, n)."""
-    x, w = np.polynomial.legendre.leggauss(n)
+    x, w = _rule(n)
     half = 0.5 * np.maximum(upper - lower, 1e-300)
     return (0.5 * (lower + upper))[:, None] + half[:, None] * x, half[:, None] * w

@@ -350,32 +350,30 @@ def _independent(
 
     left = np.log(_LEFT) / np.log1p(-min(start.efficiency, 0.999))
     burn = int(np.clip(np.ceil(left), _LEAST_BURN, _MOST_BURN)) if start.efficiency else _MOST_BURN
-    samplers, states = [], []
-    for point, child in zip(start.apart, seeds.spawn(N_ENSEMBLES), strict=True):
-        sampler = emcee.EnsembleSampler(
-            budget.walkers,
-            len(problem.names),
-            problem.log_posterior,
-            moves=emcee.moves.MHMove(propose),
-            vectorize=True,
-        )
-        first = point[None].repeat(budget.walkers, axis=0)
-        states.append(sampler.run_mcmc(_state(first, child), burn, skip_initial_state_check=True))
-        sampler.reset()
-        samplers.append(sampler)
+    # No walker sees another, so the ensembles, each from a point of its own, are run as one.
+    sampler = emcee.EnsembleSampler(
+        N_ENSEMBLES * budget.walkers,
+        len(problem.names),
+        problem.log_posterior,
+        moves=emcee.moves.MHMove(propose),
+        vectorize=True,
+    )
+    state = _state(start.apart.repeat(budget.walkers, axis=0), seeds)
+    state = sampler.run_mcmc(state, burn, skip_initial_state_check=True)
+    sampler.reset()
     n_steps, taken = budget.first(), 0
     while True:
-        for i, sampler in enumerate(samplers):
-            states[i] = sampler.run_mcmc(states[i], n_steps, skip_initial_state_check=True)
+        state = sampler.run_mcmc(state, n_steps, skip_initial_state_check=True)
         taken += n_steps
+        apart = N_ENSEMBLES, budget.walkers, taken
         found = Posterior.judged(
             problem.names,
-            np.stack([sampler.get_chain().swapaxes(0, 1) for sampler in samplers]),
-            np.stack([sampler.get_log_prob().T for sampler in samplers]),
+            sampler.get_chain().swapaxes(0, 1).reshape(*apart, -1),
+            sampler.get_log_prob().T.reshape(apart),
             independent=True,
             step=step,
             reason=reason,
-            acceptance=float(np.mean([s.acceptance_fraction.mean() for s in samplers])),
+            acceptance=float(sampler.acceptance_fraction.mean()),
             seed=seed,
         )
         n_steps = min(2 * taken, budget.most_steps - taken)
