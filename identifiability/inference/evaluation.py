@@ -337,7 +337,9 @@ def _evaluate(
     k = free.size
     theta = template.copy()
     response = np.empty((what.measured.size, width))
-    white = kept if len(kept) else np.zeros((what.n_rows, what.columns))
+    # Squares alone need no room for what they are of.
+    alone = what.columns == 1 and not what.n_segments and len(what.stretches) == 1
+    white = kept if len(kept) or alone else np.zeros((what.n_rows, what.columns))
     trial, there = np.empty(k), np.empty((what.columns, what.columns))
     system, step = np.empty((k, k)), np.empty((k, 1))
     for p in range(len(points)):
@@ -435,8 +437,8 @@ def _compare(
     width = out.shape[0]
     if len(what.stretches) > 1:
         _coloured(response, what, theta, lanes, white)
-    elif width == 1 and not what.n_segments:
-        _squares(response, what, white, out)
+    elif not len(white):
+        _squares(response, what, out)
         return
     else:
         _plain(response, what, white)
@@ -455,13 +457,12 @@ def _compare(
 
 
 @compiled_loop
-def _squares(response: np.ndarray, what: Compared, white: np.ndarray, out: np.ndarray) -> None:
-    """What `_plain` leaves of a value alone, without unknown constants, and its square, at once."""
+def _squares(response: np.ndarray, what: Compared, out: np.ndarray) -> None:
+    """Square of what `_plain` leaves of a value alone, without unknown constants."""
     total = 0.0
     for i in range(len(response)):
         before, left = what.previous[i], what.scale[i] * response[i, 0] - what.target[i]
         left -= what.echo[i] * response[before, 0]
-        white[what.rows[i], 0] = left
         total += left * left
     out[0, 0] = total if total < np.inf else np.inf
 

@@ -78,7 +78,7 @@ def _add_identity(matrix: np.ndarray, size: float) -> None:
 
 
 @compiled_loop
-def _halvings(most: float) -> tuple[int, int]:
+def halvings(most: float) -> tuple[int, int]:
     """How often a matrix of a 1-norm is halved to one of at most 1/2; terms its series then needs.
 
     The derivatives are as large as they are: their terms fall as quickly.
@@ -96,14 +96,14 @@ def _halvings(most: float) -> tuple[int, int]:
 
 @compiled_loop
 def _scaled(matrix: np.ndarray, scaled: np.ndarray) -> tuple[int, int]:
-    """A matrix halved until its 1-norm is at most 1/2; see `_halvings`."""
+    """A matrix halved until its 1-norm is at most 1/2; see `halvings`."""
     most = 0.0
     for j in range(matrix.shape[1]):
         total = 0.0
         for i in range(matrix.shape[0]):
             total += abs(matrix[i, j, 0])
         most = max(most, total)
-    count, terms = _halvings(most)
+    count, terms = halvings(most)
     added(matrix, 2.0**-count, matrix, 0.0, scaled)
     return count, terms
 
@@ -141,7 +141,7 @@ def exponential_of_values(matrix: np.ndarray) -> np.ndarray:
         for i in range(n):
             total += abs(matrix[i, j])
         most = max(most, total)
-    count, terms = _halvings(most)
+    count, terms = halvings(most)
     scale = 2.0**-count
     found, other = np.zeros((n, n)), np.empty((n, n))
     for i in range(n):

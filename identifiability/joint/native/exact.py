@@ -11,6 +11,7 @@ from identifiability.joint.native.duals import (
     entries_of,
     exponential,
     exponential_of_values,
+    halvings,
     solved,
 )
 from identifiability.joint.native.moving import (
@@ -174,10 +175,22 @@ def of_two(machine: Machine, imposed: Imposed, out: np.ndarray) -> None:
     Nothing is made but one matrix and room for it: what is made takes longer than what is computed.
     """
     m, interval, mobility = imposed.states.shape[1], imposed.interval, 1.0 / machine.inertia[0]
+    stiff, damped = interval * machine.rest[1, 0, 0], interval * machine.rest[1, 1, 0]
+    if m == 0 or (m == 1 and imposed.generator[0, 0] == 0.0):
+        push = interval * mobility * imposed.signals[0, 0, 0] if m else 0.0
+        a, b, c, d, e, f = _held(interval, stiff, damped, push)
+        angle = velocity = 0.0
+        for k in range(out.shape[0]):
+            out[k, 0] = angle
+            torque, pushed = imposed.states[k, 0] if m else 0.0, mobility * imposed.impulses[k]
+            # What does not wait for the sample before comes first.
+            angle, velocity = (
+                a * angle + (b * velocity + (b * pushed + e * torque)),
+                c * angle + (d * velocity + (d * pushed + f * torque)),
+            )
+        return
     joined = np.zeros((2 + m, 2 + m))
-    joined[0, 1] = interval
-    joined[1, 0] = interval * machine.rest[1, 0, 0]
-    joined[1, 1] = interval * machine.rest[1, 1, 0]
+    joined[0, 1], joined[1, 0], joined[1, 1] = interval, stiff, damped
     for j in range(m):
         joined[1, 2 + j] = interval * mobility * imposed.signals[0, 0, j]
         for i in range(m):
@@ -192,3 +205,38 @@ def of_two(machine: Machine, imposed: Imposed, out: np.ndarray) -> None:
         for j in range(m):
             angle += by[0, 2 + j] * imposed.states[k, j]
             velocity += by[1, 2 + j] * imposed.states[k, j]
+
+
+@compiled_loop
+def _held(
+    interval: float, stiff: float, damped: float, push: float
+) -> tuple[float, float, float, float, float, float]:
+    """From one sample to the next, under no torque or one that is held.
+
+    The upper rows of the exponential of ``[[0, interval, 0], [stiff, damped, push], [0, 0, 0]]``,
+    by the same series as any other, without arrays.
+    """
+    count, terms = halvings(max(abs(stiff), interval + abs(damped), abs(push)))
+    scale = 2.0**-count
+    q, r, s, u = scale * interval, scale * stiff, scale * damped, scale * push
+    a, b, c, d, e, f = 1.0, 0.0, 0.0, 1.0, 0.0, 0.0
+    for k in range(terms):
+        share = 1.0 / (terms - k)
+        a, b, c, d, e, f = (
+            share * (q * c) + 1.0,
+            share * (q * d),
+            share * (r * a + s * c),
+            share * (r * b + s * d) + 1.0,
+            share * (q * f),
+            share * (r * e + s * f + u),
+        )
+    for _ in range(count):
+        a, b, c, d, e, f = (
+            a * a + b * c,
+            a * b + b * d,
+            c * a + d * c,
+            c * b + d * d,
+            a * e + b * f + e,
+            c * e + d * f + f,
+        )
+    return a, b, c, d, e, f
