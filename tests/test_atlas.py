@@ -438,7 +438,9 @@ def test_an_atlas_of_two_cells_from_end_to_end(tmp_path, capsys):
     summary, remark = read_record(out / "atlas.json")
     assert remark == ""
     assert (out / "atlas.md").read_bytes() == page(summary).encode()
-    assert all((out / figure["file"]).is_file() for figure in summary["figures"])
+    for figure in summary["figures"] + summary["corners"]:
+        assert (out / figure["file"]).is_file()
+        assert (out / figure["file"]).with_suffix(".pdf").read_bytes().startswith(b"%PDF")
     assert len(summary["figures"]) == 3 + 4 + 1
     (corner,) = summary["corners"]
     assert (out / corner["file"]).read_bytes().startswith(b"\x89PNG")

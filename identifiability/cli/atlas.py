@@ -47,7 +47,7 @@ def run(options: argparse.Namespace) -> int:
     crew = workers_of(options)
 
     from identifiability.files import output_folder, write_json, write_text
-    from identifiability.plots.atlas import draw_corners, drawings
+    from identifiability.plots.atlas import KINDS, SHOWN, draw_corners, drawings
     from identifiability.plots.style import save
     from identifiability.report.atlas import page
     from identifiability.study.atlas import read_plan, run_atlas
@@ -65,8 +65,10 @@ def run(options: argparse.Namespace) -> int:
     )
     figures = []
     for found in drawings(data):
-        path = save(found.draw(), out / "atlas" / f"{found.stem}.png")
-        file = path.relative_to(out).as_posix()
+        figure = found.draw()
+        for kind in KINDS:
+            save(figure, out / "atlas" / f"{found.stem}.{kind}")
+        file = f"atlas/{found.stem}.{SHOWN}"
         figures.append({"file": file, "kind": found.kind, "caption": found.caption})
     command = ["identifiability", "atlas", *([str(options.config)] if options.config else [])]
     summary = record(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
@@ -24,7 +23,7 @@ from identifiability.files import replacing
 from identifiability.inference.widths import VERDICTS, WIDTH_TOLERANCE
 from identifiability.palette import BLACK, BLUE, GREY, ORANGE, SKY, VERMILLION, YELLOW
 from identifiability.plots.corner import corner_figure
-from identifiability.plots.style import DPI, MAP, styled
+from identifiability.plots.style import MAP, bytes_of, styled
 from identifiability.study.atlas import Corner, Plan
 from identifiability.sweep.outcome import Arrays, Outcome
 from identifiability.sweep.run import sweep
@@ -35,6 +34,10 @@ COLOURS = dict(zip(VERDICTS, (BLUE, SKY, YELLOW, ORANGE, VERMILLION, GREY), stri
     NO_RESULT: _MISSING
 }
 
+KINDS = ("png", "pdf")
+SHOWN = KINDS[0]
+"""Of these files of a figure, the one that the page shows."""
+
 _LARGEST_RATIO = 10.0
 _SAME_TENDON = 0.4  # share by which a drawn model's tendon may differ from a map's
 PREDICTED = {"quadratic": "the quadratic width", "change": "the paper's Eq. 15"}
@@ -42,14 +45,12 @@ _AXES = {"quadratic": "quadratic width", "change": "Eq. 15"}
 
 
 def corner_plot(corner: Corner) -> Arrays:
-    """Corner plot of a cell, as the bytes of a PNG file, with the cell's verdict and reason."""
+    """Corner plot of a cell, as the bytes of its files, with the cell's verdict and reason."""
     problem = corner.cell.problem()
     found = corner.cell.widths(problem)
     figure = corner_figure(found, problem, title=corner.caption)
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=DPI, metadata={"Software": None})
     return {
-        "png": np.frombuffer(buffer.getvalue(), np.uint8),
+        **{kind: np.frombuffer(bytes_of(figure, kind), np.uint8) for kind in KINDS},
         "verdict": np.array(found.verdict),
         "reason": np.array(found.reason),
     }
@@ -96,12 +97,12 @@ def draw_corners(
     for stem, outcome in outcomes.items():
         if outcome.arrays is None:
             continue
-        path = folder / f"{stem}.png"
-        with replacing(path) as temporary:
-            temporary.write_bytes(outcome.arrays["png"].tobytes())
+        for kind in KINDS:
+            with replacing(folder / f"{stem}.{kind}") as temporary:
+                temporary.write_bytes(outcome.arrays[kind].tobytes())
         drawn.append(
             {
-                "file": path.name,
+                "file": f"{stem}.{SHOWN}",
                 "caption": corners[stem].caption,
                 "verdict": str(outcome.arrays["verdict"]),
                 "reason": str(outcome.arrays["reason"]),

@@ -36,6 +36,13 @@ DPI, _DPI_SHOWN, _DPI_PRINTED = 130, 96, 300
 COLUMN, PAGE = 85 / 25.4, 180 / 25.4
 PRINTED_AS = (".svg", ".pdf", ".png")
 
+# Without the writer's version, or the date, the bytes depend on the figure alone.
+_WRITER: dict[str, dict[str, None]] = {
+    "png": {"Software": None},
+    "svg": {"Date": None, "Creator": None},
+    "pdf": {"CreationDate": None, "Creator": None, "Producer": None},
+}
+
 LONGEST_SHOWN = 3.0  # seconds of a record: of more, nothing could be made out
 
 _STYLE: Any = {
@@ -158,17 +165,27 @@ def save(figure: Figure, path: Path | str, *, dpi: int = DPI) -> Path:
     Path
     """
     path = Path(path)
-    # Without the writer's version, or the date, the bytes depend on the figure alone.
-    metadata = {
-        ".png": {"Software": None},
-        ".svg": {"Date": None, "Creator": None},
-        ".pdf": {"CreationDate": None, "Creator": None, "Producer": None},
-    }
-    # Ticks are made while drawing, so the style is needed here too.
-    with styled(), replacing(path) as temporary:
-        _label_by_text(figure)
-        figure.savefig(temporary, dpi=dpi, metadata=metadata.get(path.suffix))
+    with replacing(path) as temporary:
+        temporary.write_bytes(bytes_of(figure, path.suffix[1:], dpi=dpi))
     return path
+
+
+def bytes_of(figure: Figure, kind: str, *, dpi: int = DPI) -> bytes:
+    """Bytes of a figure's file.
+
+    Parameters
+    ----------
+    figure : Figure
+    kind : {"png", "svg", "pdf"}
+    dpi : int
+        Of what is stored in dots.
+    """
+    drawn = io.BytesIO()
+    # Ticks are made while drawing, so the style is needed here too.
+    with styled():
+        _label_by_text(figure)
+        figure.savefig(drawn, format=kind, dpi=dpi, metadata=_WRITER[kind])
+    return drawn.getvalue()
 
 
 def save_printed(figure: Figure, folder: Path, name: str) -> list[Path]:
@@ -178,11 +195,10 @@ def save_printed(figure: Figure, folder: Path, name: str) -> list[Path]:
 
 def png_of(figure: Figure) -> bytes:
     """Bytes of a figure, as large as a notebook or a page shows it."""
-    drawn, packed = io.BytesIO(), io.BytesIO()
-    with styled():
-        figure.savefig(drawn, format="png", dpi=_DPI_SHOWN, metadata={"Software": None})
+    packed = io.BytesIO()
+    drawn = Image.open(io.BytesIO(bytes_of(figure, "png", dpi=_DPI_SHOWN)))
     # Nothing shows through, so notebooks need not keep how much does.
-    Image.open(drawn).convert("RGB").save(packed, "png", optimize=True)
+    drawn.convert("RGB").save(packed, "png", optimize=True)
     return packed.getvalue()
 
 

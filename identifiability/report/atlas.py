@@ -549,7 +549,8 @@ def _again(record: Record) -> str:
 
 With {made_by(record)}, seed {record["plan"]["seed"]}.{cost} The same command, typed again after
 an interruption, goes on where it was; numbers for all cells are in `atlas.nc`
-(`xarray.open_dataset("atlas.nc")`), those of this page in `atlas.json`."""
+(`xarray.open_dataset("atlas.nc")`), those of this page in `atlas.json`. The command writes every
+figure as PDF too."""
 
 
 def _filled(section: str) -> str:
