@@ -456,6 +456,62 @@ def test_an_atlas_of_two_cells_from_end_to_end(tmp_path, capsys):
     assert "2 of 2, 2 of them from an earlier run" in capsys.readouterr().err
 
 
+def other_code(path, _):
+    with xarray.open_dataset(path, engine="h5netcdf") as data:
+        data = data.load()
+    data.attrs["code"] = "0" * 32
+    data.to_netcdf(path, engine="h5netcdf")
+
+
+def other_order(path, _):
+    with xarray.open_dataset(path, engine="h5netcdf") as data:
+        data = data.load()
+    data.isel(parameter=[1, 0, 2]).to_netcdf(path, engine="h5netcdf")
+
+
+def other_plan(path, settings):
+    settings |= {"K_CE": [10, 30], "seed": 2}
+
+
+def damaged(path, _):
+    path.write_bytes(path.read_bytes()[:100])
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        (other_plan, ["K_CE is 10.0, 200.0 there and 10.0, 30.0 here", "seed is 1 there and 2"]),
+        (other_code, ["made by other code (fingerprint 000000000000, now"]),
+        (other_order, ["its parameters are B, K, I and not K, B, I"]),
+        (damaged, ["it cannot be read"]),
+    ],
+)
+def test_another_atlas_is_not_replaced_unless_that_is_asked_for(
+    change, named, tmp_path, monkeypatch
+):
+    monkeypatch.setattr(
+        "identifiability.study.atlas.run_atlas", lambda plan, folder, **_: made_up_outcomes(plan)
+    )
+    monkeypatch.setattr("identifiability.plots.atlas.drawings", lambda data: ())
+    config, out, settings = tmp_path / "config.toml", tmp_path / "out", dict(SMALL)
+
+    def command(*more: str) -> int:
+        text = "".join(f"{key} = {json.dumps(value)}\n" for key, value in settings.items())
+        config.write_text(text)
+        return run(config, "--out", out, *more)
+
+    assert command() == 0
+    assert command() == 0  # the same may be made again
+    change(out / "atlas.nc", settings)
+    before = (out / "atlas.nc").read_bytes()
+    with pytest.raises(InputError, match=r"found another atlas in .*--replace") as refused:
+        command()
+    assert all(text in str(refused.value) for text in named)
+    assert (out / "atlas.nc").read_bytes() == before
+    assert command("--replace") == 0
+    assert command() == 0
+
+
 def test_failed_cells_are_told_and_set_the_exit_code(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(
         "identifiability.study.atlas.run_atlas",

@@ -38,6 +38,12 @@ def add_parser(commands: Any) -> None:
         "Without it: a coarse grid that spans the paper's; the word paper: the whole of it",
     )
     add_out_option(parser)
+    parser.add_argument(
+        "--replace",
+        action="store_true",
+        help="the atlas in that folder, if it is another one: by default it is kept, and the "
+        "command says what differs",
+    )
     add_workers_option(parser)
     parser.set_defaults(run=run)
 
@@ -53,9 +59,12 @@ def run(options: argparse.Namespace) -> int:
     from identifiability.study.atlas import read_plan, run_atlas
     from identifiability.study.atlas_record import record
     from identifiability.study.store import to_dataset, write_atlas
+    from identifiability.study.stored import require_same
 
     plan = read_plan(options.config)
     out = output_folder(options.out)
+    if not options.replace:
+        require_same(out / "atlas.nc", plan)
     cells = out / "atlas.cells"
     outcomes = run_atlas(plan, cells, workers=crew.workers, executor=crew.executor)
     data = to_dataset(plan, outcomes)
