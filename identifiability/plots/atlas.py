@@ -20,7 +20,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import FixedLocator, FuncFormatter, LogLocator, NullLocator
 
 from identifiability.files import replacing
-from identifiability.inference.widths import VERDICTS, WIDTH_TOLERANCE
+from identifiability.inference.widths import VERDICTS, WIDTH_TOLERANCE, widths
 from identifiability.palette import BLACK, BLUE, GREY, ORANGE, SKY, VERMILLION, YELLOW
 from identifiability.plots.corner import corner_figure
 from identifiability.plots.style import MAP, bytes_of, styled
@@ -46,8 +46,9 @@ _AXES = {"quadratic": "quadratic width", "change": "Eq. 15"}
 
 def corner_plot(corner: Corner) -> Arrays:
     """Corner plot of a cell, as the bytes of its files, with the cell's verdict and reason."""
-    problem = corner.cell.problem()
-    found = corner.cell.widths(problem)
+    cell, problem = corner.cell, corner.cell.problem()
+    # More draws than the widths of a cell take: here they are seen.
+    found = widths(problem, starts=cell.setting.starts(), seed=cell.own_seed)
     figure = corner_figure(found, problem, title=corner.caption)
     return {
         **{kind: np.frombuffer(bytes_of(figure, kind), np.uint8) for kind in KINDS},
