@@ -81,8 +81,9 @@ def test_a_cluster_computes_the_same_cells(tmp_path, started, capsys):
     # A worker that is killed takes nothing with it, and one that is left goes on.
     workers[0].kill()
     config.write_text(PLAN.replace("[10, 200]", "[10, 50, 100, 200]"))
-    assert main(["atlas", str(config), "--out", str(there), "--scheduler", address]) == 0
-    assert main(["atlas", str(config), "--out", str(here), "--workers", "1"]) == 0
+    larger = ["atlas", str(config), "--replace", "--out"]
+    assert main([*larger, str(there), "--scheduler", address]) == 0
+    assert main([*larger, str(here), "--workers", "1"]) == 0
     xarray.testing.assert_identical(cells_of(there).drop_attrs(), cells_of(here).drop_attrs())
     capsys.readouterr()
     # Without workers there is nobody to compute.
