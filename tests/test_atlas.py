@@ -388,14 +388,26 @@ def test_the_committed_page_is_made_from_the_committed_record():
 
 
 def test_the_readme_says_what_the_atlas_found():
-    found = read_record(RESULTS / "atlas.json").record["tracking"]
-    groups = [group for group in found if group["prediction"] == "quadratic"]
-    right = sum(g["within_tenth"]["value"] * g["predicted"] for g in groups)
-    share = right / sum(g["of"] for g in groups)
+    found = read_record(RESULTS / "atlas.json").record
+    groups = [group for group in found["tracking"] if group["prediction"] == "quadratic"]
+
+    def share(some):
+        right = sum(g["within_tenth"]["value"] * g["predicted"] for g in some)
+        return 100 * right / sum(g["of"] for g in some)
+
+    every = {(g["reading"], g["T"]) for g in groups}
+    shares = [share([g for g in groups if (g["reading"], g["T"]) == one]) for one in every]
+    off = [100 * group["slow"]["q50"] for group in found["structural"]]
     readme = (RESULTS.parent / "README.md").read_text(encoding="utf-8")
-    said = re.search(r"(\d+) % of the posterior widths are within a tenth", readme)
+    said = re.search(
+        r"(\d+) % of the posterior widths are within a tenth.*?\((\d+) % to (\d+) % by"
+        r".*?median\s+K is (\d+) to (\d+) % off the stiffness",
+        readme,
+        re.DOTALL,
+    )
     assert said is not None
-    assert int(said[1]) == round(100 * share)
+    expected = [share(groups), min(shares), max(shares), min(off), max(off)]
+    assert [int(number) for number in said.groups()] == [round(e) for e in expected]
 
 
 # -- the command ------------------------------------------------------------------------------
