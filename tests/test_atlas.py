@@ -536,6 +536,33 @@ def test_failed_cells_are_told_and_set_the_exit_code(tmp_path, monkeypatch, caps
     assert "its process" in (tmp_path / "out" / "atlas.md").read_text(encoding="utf-8")
 
 
+def unlucky(cell: Cell) -> dict[str, np.ndarray]:
+    with open(unlucky.calls, "a") as calls:
+        calls.write("x")
+    if cell.K_CE == 10:
+        raise ArithmeticError("no luck")
+    return made_up(cell)
+
+
+def test_failed_cells_are_tried_again_where_that_is_asked_for(tmp_path, monkeypatch, capsys):
+    def in_threads(plan, folder, **options):
+        options["executor"] = lambda: ThreadPoolExecutor(2)
+        return run_atlas(plan, folder, **options)
+
+    unlucky.calls = tmp_path / "calls"
+    monkeypatch.setattr("identifiability.study.atlas.evaluate", unlucky)
+    monkeypatch.setattr("identifiability.study.atlas.run_atlas", in_threads)
+    monkeypatch.setattr("identifiability.plots.atlas.drawings", lambda data: ())
+    config = tmp_path / "config.toml"
+    config.write_text("".join(f"{key} = {json.dumps(value)}\n" for key, value in SMALL.items()))
+    for option, calls in (((), 2), ((), 2), (("--retry-failed",), 3)):
+        assert run(config, "--out", tmp_path / "out", *option) == 3
+        assert unlucky.calls.stat().st_size == calls
+        said = capsys.readouterr().err
+        assert "ArithmeticError: no luck" in said
+        assert "the same command with --retry-failed tries them again" in said
+
+
 @pytest.mark.parametrize(
     ("arguments", "expected"),
     [(["--workers", "0"], "found --workers 0"), (["missing.toml"], "cannot read 'missing.toml'")],

@@ -114,6 +114,24 @@ def test_failed_tasks_and_only_those_are_tried_again(tmp_path, threads):
         np.testing.assert_array_equal(again["good"].arrays[key], value)
 
 
+def test_what_failed_is_not_tried_again_where_that_is_not_asked_for(tmp_path, monkeypatch):
+    calls = tmp_path / "calls"
+    deeds = {0: "raise", 1: "square", 2: "exit"}
+    tasks = {deed: Task(i, deed, folder=str(tmp_path)) for i, deed in deeds.items()}
+    first = run(tasks, tmp_path / "kept")
+    again = run(tasks, tmp_path / "kept", retry_failed=False)
+    assert Counter(calls.read_text().split())["0"] == Counter(calls.read_text().split())["1"] == 1
+    assert (again["raise"].status, again["raise"].resumed) == ("failed", True)
+    assert again["raise"].cause == first["raise"].cause
+    # That a process died hangs on the machine.
+    assert (again["exit"].status, again["exit"].resumed) == ("crashed", False)
+    # Other code may do better.
+    monkeypatch.setattr("identifiability.sweep.keep.code_fingerprint", lambda module: "other")
+    threads = {"executor": lambda: ThreadPoolExecutor(2)}
+    other = run({"raise": tasks["raise"]}, tmp_path / "kept", retry_failed=False, **threads)
+    assert (other["raise"].status, other["raise"].resumed) == ("failed", False)
+
+
 @pytest.mark.parametrize("change", ["task", "code"])
 def test_a_changed_configuration_never_reads_old_results(tmp_path, threads, monkeypatch, change):
     run({"a": Task(3)}, tmp_path, **threads)

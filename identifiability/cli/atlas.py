@@ -44,6 +44,11 @@ def add_parser(commands: Any) -> None:
         help="the atlas in that folder, if it is another one: by default it is kept, and the "
         "command says what differs",
     )
+    parser.add_argument(
+        "--retry-failed",
+        action="store_true",
+        help="cells that failed as well; those that crashed or took too long always are",
+    )
     add_workers_option(parser)
     parser.set_defaults(run=run)
 
@@ -66,12 +71,11 @@ def run(options: argparse.Namespace) -> int:
     if not options.replace:
         require_same(out / "atlas.nc", plan)
     cells = out / "atlas.cells"
-    outcomes = run_atlas(plan, cells, workers=crew.workers, executor=crew.executor)
+    how = {**crew._asdict(), "retry_failed": options.retry_failed}
+    outcomes = run_atlas(plan, cells, **how)
     data = to_dataset(plan, outcomes)
     write_atlas(data, out / "atlas.nc")
-    drawn, corners = draw_corners(
-        plan, cells, folder=out / "atlas", workers=crew.workers, executor=crew.executor
-    )
+    drawn, corners = draw_corners(plan, cells, folder=out / "atlas", **how)
     figures = []
     for found in drawings(data):
         figure = found.draw()
@@ -93,4 +97,6 @@ def run(options: argparse.Namespace) -> int:
         counts = ", ".join(f"{verdict} {n}" for verdict, n in group["counts"].items())
         print(f"{group['reading']}, T = {1000 * group['T']:g} ms, {group['of']} cells: {counts}")
     print(f"written: {out / 'atlas.md'}, {out / 'atlas.json'}, {out / 'atlas.nc'}, {out / 'atlas'}")
-    return PARTIAL if complain([*outcomes.values(), *corners.values()], cells) else 0
+    every = [*outcomes.values(), *corners.values()]
+    again = "the same command with --retry-failed"
+    return PARTIAL if complain(every, cells, again=again) else 0

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 USAGE, PARTIAL, INTERRUPTED = 2, 3, 130
 
 
-def complain(outcomes: Iterable[Outcome], folder: Path) -> bool:
+def complain(outcomes: Iterable[Outcome], folder: Path, *, again: str = "the same command") -> bool:
     """Say in a sentence which tasks of a sweep have failed, if any have, and return whether."""
     outcomes = list(outcomes)
     failed = [outcome for outcome in outcomes if outcome.status != "done"]
@@ -21,7 +21,7 @@ def complain(outcomes: Iterable[Outcome], folder: Path) -> bool:
         first = failed[0]
         print(
             f"identifiability: {len(failed)} of {len(outcomes)} tasks have no result (the first, "
-            f"{first.name}: {first.cause}); {folder / 'log.jsonl'} says more, and the same command "
+            f"{first.name}: {first.cause}); {folder / 'log.jsonl'} says more, and {again} "
             "tries them again",
             file=sys.stderr,
         )

@@ -64,6 +64,7 @@ def draw_corners(
     folder: Path,
     workers: int | None = None,
     executor: Callable[[], Executor] | None = None,
+    retry_failed: bool = True,
 ) -> tuple[list[dict[str, str]], dict[str, Outcome]]:
     """Draw the corner plots of an atlas in worker processes, where they can fail without harm.
 
@@ -74,7 +75,7 @@ def draw_corners(
         Folder in which finished plots are kept, so that an interrupted run can go on.
     folder : Path
         For the figures.
-    workers, executor
+    workers, executor, retry_failed
         See `sweep`.
 
     Returns
@@ -93,6 +94,7 @@ def draw_corners(
         workers=workers,
         executor=executor,
         progress=bool(corners),
+        retry_failed=retry_failed,
     )
     drawn = []
     for stem, outcome in outcomes.items():

@@ -469,6 +469,7 @@ def run_atlas(
     workers: int | None = None,
     executor: Callable[[], Executor] | None = None,
     progress: bool = True,
+    retry_failed: bool = True,
 ) -> dict[str, Outcome]:
     """Compute the cells of an atlas that are not in its folder yet.
 
@@ -477,7 +478,7 @@ def run_atlas(
     plan : Plan
     folder : Path
         For finished cells.
-    workers, executor, progress
+    workers, executor, progress, retry_failed
         See `sweep`.
 
     Returns
@@ -494,4 +495,5 @@ def run_atlas(
         executor=executor,
         timeout_s=None if executor else TIME_LIMIT,
         progress=progress,
+        retry_failed=retry_failed,
     )

@@ -7,7 +7,7 @@ import os
 from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 
 import numpy as np
 
@@ -29,6 +29,7 @@ class Keep:
 
     def __enter__(self) -> Keep:
         self.log = None if self.folder is None else (self.folder / "log.jsonl").open("a+b")
+        self.failed = {} if self.log is None else _failed(self.log)
         if self.log is not None and self.log.tell():
             # A killed run may have left half a line behind.
             self.log.seek(-1, os.SEEK_END)
@@ -51,6 +52,11 @@ class Keep:
         path = self.path(task)
         return None if path is None else read_arrays(path)
 
+    def failure(self, task: Any) -> str | None:
+        """Why a task failed when it was last tried, if it did."""
+        path = self.path(task)
+        return None if path is None else self.failed.get(path.name)
+
     def record(self, label: str, outcome: Outcome, task: Any, trace: str) -> None:
         """Write a result, then a line of the log."""
         path = self.path(task)
@@ -71,3 +77,18 @@ class Keep:
         with with_room(path):
             self.log.write((json.dumps(entry) + "\n").encode())
             self.log.flush()
+
+
+def _failed(log: IO[bytes]) -> dict[str, str]:
+    """Causes of the failures that a log tells of, by the file that the result would have."""
+    log.seek(0)
+    found: dict[str, str] = {}
+    for line in log:
+        try:
+            entry = json.loads(line)
+        except ValueError:  # half a line, or a damaged one
+            continue
+        found.pop(entry["file"], None)
+        if entry["status"] == "failed":
+            found[entry["file"]] = entry["cause"]
+    return found

@@ -35,6 +35,7 @@ def sweep(
     timeout_s: float | None = None,
     executor: Callable[[], Executor] | None = None,
     progress: bool = True,
+    retry_failed: bool = True,
 ) -> dict[str, Outcome]:
     """Run a function on every task, in processes, and keep what is finished.
 
@@ -62,11 +63,14 @@ def sweep(
         as it gives them.
     progress : bool
         Whether to report progress on standard error.
+    retry_failed : bool
+        Whether tasks in which the function raised before are tried again. What took too long, or
+        whose process died, always is: that hangs on the machine.
 
     Returns
     -------
     dict of str to Outcome
-        In the order of `tasks`. Failed tasks are tried again by the next call.
+        In the order of `tasks`.
 
     Raises
     ------
@@ -88,6 +92,8 @@ def sweep(
             arrays = keep.find(task)
             if arrays is not None:
                 found[name] = Outcome(name, "done", arrays, resumed=True)
+            elif not retry_failed and (cause := keep.failure(task)) is not None:
+                found[name] = Outcome(name, "failed", cause=cause, resumed=True)
         report = stack.enter_context(Bar(label, len(tasks), len(found), progress))
 
         def finish(outcome: Outcome, trace: str = "") -> None:
