@@ -43,6 +43,33 @@ def pytest_collection_modifyitems(config, items):
                 item.add_marker(skip)
 
 
+_FAILED = []  # parts of investigations, in the order in which they failed
+
+
+def pytest_collection_finish():
+    """Take note of the parts that fail in any investigation, whoever makes it."""
+    from identifiability.investigation.findings import Findings
+
+    made = Findings.__init__
+
+    def noted(findings, *args, **fields):
+        made(findings, *args, **fields)
+        _FAILED.extend(findings.failed)
+
+    Findings.__init__ = noted
+
+
+@pytest.fixture(autouse=True)
+def nothing_fails_unseen(request):
+    """A part of an investigation that fails, fails the test too, unless that is what it is about.
+
+    Those of a module's fixtures count for the first test that uses them.
+    """
+    yield
+    failed, _FAILED[:] = tuple(_FAILED), ()
+    assert not failed or request.node.get_closest_marker("parts_fail"), failed
+
+
 @pytest.fixture
 def few_effects(monkeypatch):
     """Commands that try few effects: all of them compete in the benchmark's cases."""

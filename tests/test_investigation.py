@@ -346,6 +346,7 @@ def test_the_shortest_delay_that_a_reflex_has_is_in_doubt():
         assert bool(effect.doubt(values | {"stretch_reflex.delay": delay})) is doubted
 
 
+@pytest.mark.parts_fail
 def test_what_cannot_be_weighed_is_said_and_nothing_is_named(monkeypatch):
     def fails(*args, **options):
         raise InputError("the angle is too coarse")

@@ -402,6 +402,7 @@ def test_the_browser_sees_what_is_wrong(tmp_path):
     assert drawing["cut"] == ["c"]
 
 
+@pytest.mark.parts_fail
 @pytest.mark.usefixtures("no_smallest_effects", "shown_alone")
 def test_a_part_that_fails_is_told_and_takes_no_other_with_it(tmp_path, monkeypatch):
     def fails(*args):
