@@ -18,7 +18,8 @@ _FACTORS = (0.4, 1.0, 2.5)
 _WIDE = (0.15, 0.3, 0.55, 1.0, 1.8, 4.0, 10.0)
 _NARROW = 3  # ratio of bounds up to which starts between them are equally spaced
 _SOFTER = (3.0, 10.0)  # stiffness of a tendon over the joint's
-_WIDELY_SOFTER = (1.0, 3.0, 10.0, 100.0)
+_WIDELY_SOFTER = (1.0, 3.0, 10.0)
+_STIFF = 100.0  # the same, of one that hardly gives: softer ones lead away from it
 _MOST_STARTS, _MOST_WIDELY = 6, 28
 _PART = 0.1  # of the torque, that a property makes of which regression finds nothing
 
@@ -64,12 +65,16 @@ def starting_values(
     # Spread over the grid; the middle one, of nominal shape, comes first.
     chosen = np.unique(np.linspace(0, len(every) - 1, most).astype(int))
     starts = [dict(zip(names, every[i], strict=True)) for i in chosen]
+    new = {name: p for name, p in model.parameters.items() if name not in known}
+    gives = [n for n, p in new.items() if p.null is not None and not np.isfinite(p.null)]
+    if wide and gives:
+        shape = {n: p.nominal for n, p in new.items() if p.null is None and p.plain is None}
+        starts.append(starts[0] | shape | dict.fromkeys(gives, _STIFF * known["K"] + 1.0))
     for start in starts:
-        for name, p in model.parameters.items():
-            if name not in known and p.null is not None and not np.isfinite(p.null):
-                softened = 1 + start["K"] / start[name]
-                start["K"] *= softened
-                start["B"] *= softened**2
+        for name in gives:
+            softened = 1 + start["K"] / start[name]
+            start["K"] *= softened
+            start["B"] *= softened**2
     return starts
 
 

@@ -272,7 +272,7 @@ class Evaluator:
             if noises[0].contenders[0].order != own.contenders[0].order:
                 noises.append(own)
             for weights in noises:
-                yield beginnings.best(weights, _CARRIED), weights
+                yield beginnings.best(weights, _carried(problem)), weights
             return
         known = self.coarse.reference.adopted(noise or own)
         begun = self.coarse._roughly(problem.model, starts, refined, problem.integration, known)
@@ -299,7 +299,7 @@ class Evaluator:
         beginnings = self._beginnings(problem, starts)
 
         def settled(weights: Weights) -> Evaluated:
-            points = beginnings.best(weights, _CARRIED)
+            points = beginnings.best(weights, _carried(problem))
             return self.settled(
                 problem, points, weights, refined, rounds=1, most=1, further=EVALUATIONS
             )
@@ -518,6 +518,16 @@ class Evaluator:
         if problem.upper[i] < parameter.upper and name not in self.band.bounds:
             return False
         return parameter.null is None and not parameter.ends_form
+
+
+def _carried(problem: Problem) -> int:
+    """Starts that a fit is carried on from: one more where a link may be so stiff that it is none.
+
+    That start is as good as the model without it, and takes the place of no other.
+    """
+    parameters = problem.model.parameters.values()
+    links = any(p.null is not None and not np.isfinite(p.null) for p in parameters)
+    return _CARRIED + links
 
 
 def best_of(evaluated: Callable[[_Start], _End], starts: Sequence[_Start]) -> _End:
