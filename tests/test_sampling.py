@@ -215,10 +215,10 @@ def test_walkers_that_stay_where_they_begin_do_not_pass_for_convergence(monkeypa
         best * 1.2, 1e6 * curvature(problem, best).hessian, problem.lower, problem.upper
     )
     monkeypatch.setattr(sampling, "_laplace", lambda *_: off)
-    for seed in (1, 2, 3):
-        posterior = drawn(GAUSSIAN, seed, quick=True)
-        assert posterior.rhat_nested.min() > 1.2  # of which 1.01 is asked
-        assert not posterior.converged
+    # How far apart the ensembles begin is chance: the middle of five.
+    posteriors = [drawn(GAUSSIAN, seed, quick=True) for seed in range(1, 6)]
+    assert np.median([posterior.rhat_nested.min() for posterior in posteriors]) > 2
+    assert not any(posterior.converged for posterior in posteriors)
 
 
 def test_a_response_that_takes_long_is_sampled_by_few_draws_that_own_up_to_it(monkeypatch):

@@ -197,8 +197,7 @@ def explore(
         Where no start leads to a finite response.
     """
     starts = inside(problem, np.atleast_2d(starts))
-    nulls = [problem.model.parameters[name].null for name in problem.names]
-    endless = np.array([null is not None and not np.isfinite(null) for null in nulls])
+    endless = np.array([problem.model.parameters[name].endless for name in problem.names])
     stiff = endless & (problem.lower > 0)
 
     def turned(x: np.ndarray) -> np.ndarray:

@@ -66,7 +66,7 @@ def starting_values(
     chosen = np.unique(np.linspace(0, len(every) - 1, most).astype(int))
     starts = [dict(zip(names, every[i], strict=True)) for i in chosen]
     new = {name: p for name, p in model.parameters.items() if name not in known}
-    gives = [n for n, p in new.items() if p.null is not None and not np.isfinite(p.null)]
+    gives = [name for name, p in new.items() if p.endless]
     if wide and gives:
         shape = {n: p.nominal for n, p in new.items() if p.null is None and p.plain is None}
         starts.append(starts[0] | shape | dict.fromkeys(gives, _STIFF * known["K"] + 1.0))

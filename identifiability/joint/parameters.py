@@ -78,6 +78,11 @@ class Parameter:
     is_delay: bool = False
     ends_form: bool = False
 
+    @property
+    def endless(self) -> bool:
+        """Whether the effect vanishes as this grows without end: the stiffness of a link."""
+        return self.null == float("inf")
+
     def __post_init__(self) -> None:
         if not self.lower < self.upper:
             raise ValueError(f"{self.name}: lower bound {self.lower} is not below {self.upper}")

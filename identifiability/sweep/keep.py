@@ -6,8 +6,9 @@ import json
 import os
 from collections.abc import Callable
 from datetime import UTC, datetime
+from functools import cached_property
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 
@@ -29,7 +30,6 @@ class Keep:
 
     def __enter__(self) -> Keep:
         self.log = None if self.folder is None else (self.folder / "log.jsonl").open("a+b")
-        self.failed = {} if self.log is None else _failed(self.log)
         if self.log is not None and self.log.tell():
             # A killed run may have left half a line behind.
             self.log.seek(-1, os.SEEK_END)
@@ -55,7 +55,23 @@ class Keep:
     def failure(self, task: Any) -> str | None:
         """Why a task failed when it was last tried, if it did."""
         path = self.path(task)
-        return None if path is None else self.failed.get(path.name)
+        return None if path is None else self._failures.get(path.name)
+
+    @cached_property
+    def _failures(self) -> dict[str, str]:
+        """Causes of the failures that the log tells of, by the file that a result would have."""
+        found: dict[str, str] = {}
+        if self.folder is None:
+            return found
+        for line in (self.folder / "log.jsonl").read_bytes().splitlines():
+            try:
+                entry = json.loads(line)
+            except ValueError:  # half a line, or a damaged one
+                continue
+            found.pop(entry["file"], None)
+            if entry["status"] == "failed":
+                found[entry["file"]] = entry["cause"]
+        return found
 
     def record(self, label: str, outcome: Outcome, task: Any, trace: str) -> None:
         """Write a result, then a line of the log."""
@@ -77,18 +93,3 @@ class Keep:
         with with_room(path):
             self.log.write((json.dumps(entry) + "\n").encode())
             self.log.flush()
-
-
-def _failed(log: IO[bytes]) -> dict[str, str]:
-    """Causes of the failures that a log tells of, by the file that the result would have."""
-    log.seek(0)
-    found: dict[str, str] = {}
-    for line in log:
-        try:
-            entry = json.loads(line)
-        except ValueError:  # half a line, or a damaged one
-            continue
-        found.pop(entry["file"], None)
-        if entry["status"] == "failed":
-            found[entry["file"]] = entry["cause"]
-    return found

@@ -238,14 +238,14 @@ class Evaluator:
             # In longer steps than the other's it could not be as likely.
             if nested.scheme.is_finer_than(problem.integration):
                 problem = problem.with_scheme(nested.scheme)
-            while True:
-                found = self.settled(problem, start, nested.weights, refined, rounds=1, further=0)
-                if found.log_likelihood >= nested.log_likelihood - _MISSED:
-                    break
-                # Nor could it in steps that do not resolve what the other has exactly.
-                if (finer := self._finer(problem, found)) is None:
-                    break
+            found = self.settled(problem, start, nested.weights, refined, rounds=1, further=0)
+            # Nor could it in steps that do not resolve what the other has exactly.
+            while (
+                found.log_likelihood < nested.log_likelihood - _MISSED
+                and (finer := self._finer(problem, found)) is not None
+            ):
                 problem = problem.with_scheme(finer)
+                found = self.settled(problem, start, nested.weights, refined, rounds=1, further=0)
             best = max(best, found, key=lambda one: one.log_evidence)
         while resolved and (finer := self._finer(problem, best)) is not None:
             problem = problem.with_scheme(finer)
@@ -525,9 +525,7 @@ def _carried(problem: Problem) -> int:
 
     That start is as good as the model without it, and takes the place of no other.
     """
-    parameters = problem.model.parameters.values()
-    links = any(p.null is not None and not np.isfinite(p.null) for p in parameters)
-    return _CARRIED + links
+    return _CARRIED + any(p.endless for p in problem.model.parameters.values())
 
 
 def best_of(evaluated: Callable[[_Start], _End], starts: Sequence[_Start]) -> _End:

@@ -305,7 +305,7 @@ class Hidden:
         Springs in series with the muscle take K and B of the model without them.
         """
         starts = [self._without.x]
-        if self.size.null is not None and not np.isfinite(self.size.null):
+        if self.size.endless:
             x, soft = self._without.x.copy(), 1 / (1 + values["K"] / values[self.sizes[0]])
             for name, factor in (("K", soft), ("B", soft**2)):
                 if name in problem.names:
