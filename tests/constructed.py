@@ -36,7 +36,7 @@ def probabilities(*rows, evidence=None):
         )
         for keys in known
     }
-    return Probabilities(ranked, (), {}, 1.0, 1.0, None, (), {}, None, sets, (100, 100))
+    return Probabilities(ranked, (), {}, 0.5, 1.0, None, (), {}, None, sets, (100, 100))
 
 
 def candidate(error, *keys):

@@ -80,6 +80,24 @@ def reason(found, kind):
     return next((r for r in found.verdict.reasons if r.kind == kind), None)
 
 
+def test_where_most_of_the_response_is_noise_nothing_is_said_of_effects(split):
+    """What the joint does may have been taken for noise, however probable the effects are."""
+    for rows in (sure("gravity"), UNKNOWN):
+        noisy = findings(split, rows, noise=0.9)
+        assert (noisy.verdict.kind, noisy.verdict.sets, noisy.found.missing) == (
+            "undecided",
+            (),
+            (),
+        )
+        (why,) = (r for r in noisy.verdict.reasons if r.kind == "mostly noise")
+        assert why.numbers["share"] == pytest.approx(0.81)
+        assert "--driven angle" in in_words(noisy)
+        assert "gravity" not in in_words(noisy)
+    # Where nothing need be missing that is said, and how large it would have to be.
+    assert findings(split, NOTHING, noise=0.9).verdict.kind == "nothing_missing"
+    assert findings(split, sure("gravity"), noise=0.6).verdict.sets == (("gravity",),)
+
+
 def test_a_clue_beside_what_is_claimed_is_said_to_be_one(split):
     found = findings(split, [(("gravity", "coulomb_friction"), 0.8), (("gravity",), 0.2)])
     assert found.verdict.sets == (("gravity",),)
@@ -236,7 +254,7 @@ def test_the_next_best_is_said_with_its_probability(split):
 
 def test_a_named_effect_whose_equations_are_not_exact_is_said_to_leave_something(split):
     beside = Discrepant(0.0, {"static": 0.02}, 0.02)
-    found = findings(split, sure("gravity"), discrepancy=beside, response=0.5)
+    found = findings(split, sure("gravity"), discrepancy=beside, noise=0.1, response=0.5)
     assert reason(found, "equations not exact").numbers == pytest.approx(
         {"size": 0.01, "share": 0.02}
     )

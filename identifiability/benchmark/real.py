@@ -134,6 +134,7 @@ REAL = {
             "BSD-3-Clause, DFKI 2022",
             "dry friction",
             ("time=time:s", "angle=pos_meas1:rad", "torque=tau_meas1:Nm"),
+            driven="torque",
         ),
         RealRecording(
             "ankle",

@@ -65,10 +65,18 @@ def _is_long(prepared: Prepared) -> bool:
     return not (prepared.response.size <= _LONGEST and prepared.first == 0)
 
 
-def pieces(prepared: Prepared, noise: Noise) -> list[Observation]:
+def pieces(prepared: Prepared, noise: Noise, *, shortly: bool = False) -> list[Observation]:
     """A trial as one observation, or as overlapping ones that are computed side by side.
 
-    Each begins so long before its compared samples as the joint needs to forget where it was.
+    Each begins so long before its compared samples as the joint needs to forget where it was, and
+    compares no fewer than that: of a joint that swings on for long, pieces are mostly beginnings.
+
+    Parameters
+    ----------
+    prepared : Prepared
+    noise : Noise
+    shortly : bool
+        Whether they are as short as can be all the same, because few of them are computed.
     """
     span = prepared.last - prepared.first
     n_offsets = prepared.has_offset
@@ -77,7 +85,8 @@ def pieces(prepared: Prepared, noise: Noise) -> list[Observation]:
         segment = np.zeros(chosen.size, int) if n_offsets else None
         return [observe(prepared.drive, prepared.response, noise, select=chosen, segment=segment)]
     warm_up = int(np.ceil(prepared.warm_up / prepared.drive.interval))
-    length = max(min(span, _LONGEST // 2), 1)
+    length = _LONGEST // 2 if shortly else max(_LONGEST // 2, min(warm_up, MOST_SAMPLES))
+    length = max(min(span, length), 1)
     starts = range(prepared.first, prepared.last, length)
     out: list[Observation] = []
     for start in starts:

@@ -71,6 +71,9 @@ class Rules:
         Share of the response that is nothing unknown: instruments are linear to so much.
     equations : float
         Share of what its effects do, that a model's equations may be wrong by.
+    most_noise : float
+        Share of the response's energy that may be noise to the most probable model, for effects to
+        be named or spoken of: with more, what the joint does may have been taken for noise.
     most_effects : int
         Most effects to add.
     """
@@ -96,4 +99,5 @@ class Rules:
     solver_nats: float = 0.5
     trifle: float = 3e-3
     equations: float = 0.1
+    most_noise: float = 0.5
     most_effects: int = 4

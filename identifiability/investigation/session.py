@@ -356,7 +356,8 @@ class Investigation:
 
     def claim(self, posterior: Probabilities) -> Claim:
         """What the probabilities allow to name."""
-        return claim_of(posterior, self.library, self.bench.rules.claimed)
+        rules = self.bench.rules
+        return claim_of(posterior, self.library, rules.claimed, rules.most_noise)
 
     def climb(self, posterior: Probabilities, *, also: Mapping[str, float] | None = None) -> Found:
         """Fit the model that is claimed, or comes nearest, effect by effect: the error ladder.

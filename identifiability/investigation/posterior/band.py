@@ -187,7 +187,7 @@ class Band:
         share = min(1.0, self.most / self.n_recorded)
         out: list[tuple[Observation, slice]] = []
         for p in prepared:
-            every = pieces(p, Noise(1.0))
+            every = pieces(p, Noise(1.0), shortly=self.most < MOST_SAMPLES)
             ends = p.first + np.cumsum([0, *(np.count_nonzero(o.scale > 0) for o in every)])
             n = max(1, round(share * len(every)))
             kept = np.linspace(0, len(every), n, endpoint=False) + 0.5 * (len(every) / n - 1)

@@ -8,6 +8,7 @@ from itertools import combinations
 from typing import Literal
 
 from identifiability.investigation.posterior.probabilities import Probabilities
+from identifiability.investigation.rules import Rules
 from identifiability.joint.effects import Effect
 
 _MOST_OF_ONE = 3  # effects of which one is there
@@ -23,10 +24,11 @@ class Claim:
 
     Attributes
     ----------
-    kind : {"effects", "nothing", "unknown", "undecided"}
+    kind : {"effects", "nothing", "unknown", "undecided", "noise"}
         Effects are there; nothing is missing, or it cannot be excluded; something is missing that
         is no known effect, or that cannot be excluded; effects are there, but no one of them is
-        sure enough.
+        sure enough; most of the response is noise to the most probable model, so that nothing is
+        said.
     effects : tuple of str
         Of the model that the claim is shown by: those that are claimed and, as a clue, what is
         likely there beside them; of effects that are not sure enough, or that
@@ -38,13 +40,13 @@ class Claim:
         For each effect that is there all that it could be, the most probable first; empty where
         none is claimed.
     probability : float
-        That the claim is right.
+        That the claim is right; of "noise", the share of the response's energy that is.
     instead : tuple of str
         What may be in the place of a clue beside what is claimed, where it is likely that one of
         them is there, and of no one it is.
     """
 
-    kind: Literal["effects", "nothing", "unknown", "undecided"]
+    kind: Literal["effects", "nothing", "unknown", "undecided", "noise"]
     effects: tuple[str, ...]
     sets: tuple[tuple[str, ...], ...]
     probability: float
@@ -56,7 +58,12 @@ class Claim:
         return any(effect in names for names in self.sets)
 
 
-def claim_of(posterior: Probabilities, library: Mapping[str, type[Effect]], share: float) -> Claim:
+def claim_of(
+    posterior: Probabilities,
+    library: Mapping[str, type[Effect]],
+    share: float,
+    most_noise: float = Rules.most_noise,
+) -> Claim:
     """The most that can be named with a probability.
 
     Nothing where that nothing is missing, or that it is something unknown, is among what together
@@ -71,10 +78,14 @@ def claim_of(posterior: Probabilities, library: Mapping[str, type[Effect]], shar
     library : mapping of str to type of Effect
     share : float
         Such as 0.95.
+    most_noise : float
+        Share of the response's energy that may be noise: see `Rules`.
     """
     rows = posterior.credible(share)
     if any(row.effects == () for row in rows):
         return Claim("nothing", (), (), posterior.nothing)
+    if posterior.noise_share > most_noise:
+        return Claim("noise", (), (), posterior.noise_share)
     if any(row.effects is None for row in rows):
         there = _beside(posterior, share)
         return Claim("unknown", posterior.unknown, (), posterior.none_of_these, there)

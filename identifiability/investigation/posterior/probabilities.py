@@ -102,6 +102,11 @@ class Probabilities:
         return sum(row.probability for row in self.rows if row.effects == wanted)
 
     @property
+    def noise_share(self) -> float:
+        """Share of the response's energy that is noise to the most probable model."""
+        return (self.noise / self.response) ** 2
+
+    @property
     def nothing(self) -> float:
         """Probability that nothing is missing."""
         return self.of(())

@@ -122,6 +122,9 @@ def judge(
     nested : Probabilities, optional
         Of the sets that came near, by the trials that are not held out alone.
     """
+    if claim.kind == "noise":
+        noise = Reason("mostly noise", (), {"share": claim.probability})
+        return Verdict("undecided", (), (noise, _errors(split, found)))
     explains = found.share is None or found.share >= split.rules.explained_share
     named = claim.kind == "effects" and explains
     reasons = [_probabilities(claim, posterior)]

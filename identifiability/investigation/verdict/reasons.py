@@ -10,6 +10,7 @@ ReasonKind = Literal[
     "probable",
     "not probable enough",
     "no error",
+    "mostly noise",
     "only a part",
     "whatever else",
     "clue",
@@ -42,6 +43,8 @@ class Reason:
           sets by their keys joined by "+": no effect is probable enough to be named;
         - no error: the effects are probable enough, but the errors of their model could not be
           computed, for the reason in ``remark``, so that nothing is named;
+        - mostly noise: this ``share`` of the response is noise to the most probable model, so that
+          nothing is said about effects;
         - only a part: the effects are probable enough, but leave so much of the misfit of the
           held-out trials that they may stand for something else;
         - whatever else: effects that are there beside something unknown, each with its probability

@@ -9,6 +9,7 @@ _UNNAMED = {
     "nothing": "Nothing is named: that nothing is missing has a probability of {}.",
     "unknown": "Nothing is named: that it is no effect of the library has a probability of {}.",
     "undecided": "Nothing is named: the most probable set has a probability of {} only.",
+    "noise": "Nothing is named: to the most probable model {} of the response is noise.",
 }
 
 

@@ -67,6 +67,8 @@ def _verdict(findings: Findings) -> str:
             f"Most probable is {best}, but whether the error falls with it could not be computed: "
             f"{reasons['no error'].remark}. {rest}"
         )
+    if "mostly noise" in reasons:
+        return f"What may be missing cannot be told from these data. {rest}"
     if verdict.kind == "undecided":
         why = findings.failures["probabilities"]
         return f"What may be missing could not be weighed: {why}. {rest}"
@@ -190,6 +192,7 @@ def _reason(reason: Reason, findings: Findings) -> str:
         "probable": _probable,
         "not probable enough": _not_probable,
         "no error": _no_error,
+        "mostly noise": _mostly_noise,
         "only a part": _only_a_part,
         "whatever else": _whatever_else,
         "clue": _clue,
@@ -211,6 +214,18 @@ def _no_error(reason: Reason, findings: Findings) -> str:
     return (
         "Effects are named for the error that falls with them on trials that were not fitted; that "
         "of the most probable model is not known."
+    )
+
+
+def _mostly_noise(reason: Reason, findings: Findings) -> str:
+    """Why nothing is said, and what would help."""
+    imposed = findings.split.driven
+    followed = "angle" if imposed == "torque" else "torque"
+    return (
+        f"To the most probable model {percent(reason.numbers['share'])} of the {followed} is "
+        "noise, which may well be what the joint does: where one slow movement comes again and "
+        f"again, noise that varies slowly looks like it. If the {imposed} rather followed the "
+        f"{followed}, say --driven {followed}; if not, move the joint at more frequencies."
     )
 
 

@@ -53,30 +53,22 @@ def record(
 def _delayed(delay: float, lane: int, interval: float, signal: np.ndarray) -> np.ndarray:
     n, width = signal.shape
     out = np.empty((n, width))
+    # The same cubic through four neighbours everywhere: their shares, and derivatives of these.
+    first = math.floor(-delay / interval)
+    s = -delay / interval - first
+    a, da = -s * (s - 1) * (s - 2) / 6, (3 * s * s - 6 * s + 2) / (6 * interval)
+    b, db = (s + 1) * (s - 1) * (s - 2) / 2, -(3 * s * s - 4 * s - 1) / (2 * interval)
+    c, dc = -(s + 1) * s * (s - 2) / 2, (3 * s * s - 2 * s - 2) / (2 * interval)
+    d, dd = (s + 1) * s * (s - 1) / 6, -(3 * s * s - 1) / (6 * interval)
     for k in range(n):
-        place = k - delay / interval
-        base = math.floor(place)
-        s = place - base
-        share = (
-            -s * (s - 1) * (s - 2) / 6,
-            (s + 1) * (s - 1) * (s - 2) / 2,
-            -(s + 1) * s * (s - 2) / 2,
-            (s + 1) * s * (s - 1) / 6,
-        )
-        slope = (
-            -(3 * s * s - 6 * s + 2) / 6,
-            (3 * s * s - 4 * s - 1) / 2,
-            -(3 * s * s - 2 * s - 2) / 2,
-            (3 * s * s - 1) / 6,
-        )
+        base = k + first
+        h, i = min(max(base - 1, 0), n - 1), min(max(base, 0), n - 1)
+        j, m = min(max(base + 1, 0), n - 1), min(max(base + 2, 0), n - 1)
         for t in range(width):
-            out[k, t] = 0.0
-        for i in range(4):
-            at = min(max(base - 1 + i, 0), n - 1)
-            for t in range(width):
-                out[k, t] += share[i] * signal[at, t]
-            if lane:
-                out[k, lane] -= slope[i] * signal[at, 0] / interval
+            out[k, t] = a * signal[h, t] + b * signal[i, t] + c * signal[j, t] + d * signal[m, t]
+        if lane:
+            out[k, lane] += da * signal[h, 0] + db * signal[i, 0]
+            out[k, lane] += dc * signal[j, 0] + dd * signal[m, 0]
     return out
 
 
@@ -102,30 +94,69 @@ def _expm1(z: complex) -> complex:
 
 
 @compiled_loop
-def _pole(constant: complex, moved: np.ndarray, interval: float, signal: np.ndarray) -> np.ndarray:
-    """One pole, of a time constant with its derivatives."""
-    n, width = signal.shape
+def _pole(constant: complex, interval: float) -> np.ndarray:
+    """What the next value of one pole has of its last, of the signal now and before; and 1.
+
+    In the second row their derivatives by its time constant. The signal is straight in between.
+    """
     there = abs(constant) >= _LEAST
     ratio = interval / (constant if there else complex(_LEAST, 0.0))
     gone = -_expm1(-ratio)
     kept, mean = 1.0 - gone, gone * constant / interval
-    keeping, meaning = np.zeros(width, np.complex128), np.zeros(width, np.complex128)
-    for t in range(1, width):
-        turned = -ratio / constant * moved[t] if there else 0j
-        keeping[t] = -kept * turned
-        meaning[t] = kept * turned * constant / interval + gone * moved[t] / interval
-    out = np.empty((n, width), np.complex128)
-    for t in range(width):
-        out[0, t] = signal[0, t]
-    for k in range(1, n):
-        last, next_ = signal[k - 1, 0], signal[k, 0]
-        for t in range(width):
-            out[k, t] = (
-                kept * out[k - 1, t] + (mean - kept) * signal[k - 1, t] + (1 - mean) * signal[k, t]
-            )
-            if t:
-                out[k, t] += keeping[t] * (out[k - 1, 0] - last) + meaning[t] * (last - next_)
-    return out
+    keeping = kept * ratio / constant if there else 0j
+    meaning = (gone - keeping * constant) / interval
+    return np.array(
+        [[kept, 1.0 - mean, mean - kept, 1.0 + 0j], [keeping, -meaning, meaning - keeping, 0j]]
+    )
+
+
+@compiled_loop
+def _add_signal(
+    one: np.ndarray, other: np.ndarray, slow: complex, fast: complex, out: np.ndarray
+) -> None:
+    """Add what the sum of two poles, of such shares, has of the signal now and the two before."""
+    middle = slow * (one[2] * other[3] - one[1] * other[0])
+    middle += fast * (one[3] * other[2] - one[0] * other[1])
+    out[2] += (slow * one[1] * other[3] + fast * one[3] * other[1]).real
+    out[3] += middle.real
+    out[4] -= (slow * one[2] * other[0] + fast * one[0] * other[2]).real
+
+
+@compiled_loop
+def _add_last(one: np.ndarray, other: np.ndarray, out: np.ndarray) -> None:
+    """Add what it has of its own last two values."""
+    out[0] += (one[0] * other[3] + one[3] * other[0]).real
+    out[1] -= (one[0] * other[0]).real
+
+
+@compiled_loop
+def _both_poles(constant: float, shape: float, interval: float) -> np.ndarray:
+    """The recursion of two poles, with derivatives by time constant and shape, shape (3, 5).
+
+    A value is made of the last two, of the signal now, and of the two before.
+    """
+    inner = 1.0 - 4.0 * shape
+    apart = abs(inner) >= _NEARLY
+    root = np.sqrt(complex(inner if apart else _NEARLY, 0.0))
+    slow, fast = 0.5 + 0.5 / root, 0.5 - 0.5 / root
+    one = _pole(0.5 * constant * (1 + root), interval)
+    other = _pole(0.5 * constant * (1 - root), interval)
+    by = np.zeros((3, 5))
+    _add_last(one[0], other[0], by[0])
+    _add_signal(one[0], other[0], slow, fast, by[0])
+    moved = np.array([[0.5 * (1 + root), 0.5 * (1 - root)], [0j, 0j]])
+    if apart:
+        moved[1, 0], moved[1, 1] = -constant / root, constant / root
+        turned = root**-3
+        _add_signal(one[0], other[0], turned, -turned, by[2])
+    for m in range(2):
+        for left, right in (
+            (moved[m, 0] * one[1], other[0]),
+            (one[0], moved[m, 1] * other[1]),
+        ):
+            _add_last(left, right, by[m + 1])
+            _add_signal(left, right, slow, fast, by[m + 1])
+    return by
 
 
 @compiled_loop
@@ -133,26 +164,30 @@ def _lowpassed(
     constant: float, shape: float, lanes: np.ndarray, interval: float, signal: np.ndarray
 ) -> np.ndarray:
     n, width = signal.shape
-    inner = 1.0 - 4.0 * shape
-    apart = abs(inner) >= _NEARLY
-    root = np.sqrt(complex(inner if apart else _NEARLY, 0.0))
-    turned = np.zeros(width, np.complex128)
-    slow, fast = np.zeros(width, np.complex128), np.zeros(width, np.complex128)
-    if lanes[1] and apart:
-        turned[lanes[1]] = -2.0 / root
-    if lanes[0]:
-        slow[lanes[0]], fast[lanes[0]] = 0.5 * (1 + root), 0.5 * (1 - root)
-    for t in range(1, width):
-        slow[t] += 0.5 * constant * turned[t]
-        fast[t] -= 0.5 * constant * turned[t]
-    one = _pole(0.5 * constant * (1 + root), slow, interval, signal)
-    other = _pole(0.5 * constant * (1 - root), fast, interval, signal)
+    by = _both_poles(constant, shape, interval)
+    a, b, c, d, e = by[0]
     out = np.empty((n, width))
-    for k in range(n):
-        parts = (1 + root) * one[k, 0] - (1 - root) * other[k, 0]
-        out[k, 0] = (parts / (2 * root)).real
-        for t in range(1, width):
-            change = (1 + root) * one[k, t] - (1 - root) * other[k, t]
-            change += turned[t] * (one[k, 0] + other[k, 0] - parts / root)
-            out[k, t] = (change / (2 * root)).real
+    # Column by column: a value then waits for nothing but the last one.
+    for t in range(width):
+        forced = np.zeros(n)
+        for m in range(2):
+            if t and lanes[m] == t:
+                _add_recursion(by[m + 1], out[:, 0], signal[:, 0], forced)
+        last = before = u = v = signal[0, t]
+        out[0, t] = last
+        for k in range(1, n):
+            now = signal[k, t]
+            rest = forced[k] + b * before + c * now + d * u + e * v
+            before, last = last, a * last + rest
+            out[k, t] = last
+            v, u = u, now
     return out
+
+
+@compiled_loop
+def _add_recursion(by: np.ndarray, last: np.ndarray, signal: np.ndarray, out: np.ndarray) -> None:
+    """Add what a recursion makes of a signal and its own last values, but for the first."""
+    for k in range(1, out.size):
+        before = max(k - 2, 0)
+        out[k] += by[0] * last[k - 1] + by[1] * last[before]
+        out[k] += by[2] * signal[k] + by[3] * signal[k - 1] + by[4] * signal[before]

@@ -191,11 +191,15 @@ def _recall(
     step: float,
     place: int,
     state: np.ndarray,
+    room: np.ndarray,
     out: np.ndarray,
 ) -> None:
-    """Motions a delay ago, shape (2 n_delays, width): see `integrator._recall`."""
+    """Motions a delay ago, shape (2 n_delays, width): see `integrator._recall`.
+
+    With `room` for three motions, which is not taken anew at every step.
+    """
     width = state.shape[1]
-    start, end, motion = np.zeros(3), np.zeros(3), np.zeros(3)
+    start, end, motion = room[0], room[1], room[2]
     for k in range(machine.delays.shape[0]):
         time = (index + 0.5 * place) * step - machine.delays[k, 0]
         angle, velocity = out[2 * k], out[2 * k + 1]
@@ -288,7 +292,7 @@ def integrated(
     # where the step ends, and nothing. (Choosing between arrays has them counted at every step.)
     away, ends, nothing = n_stages, 2 * n_stages + 1, 2 * n_stages + 2
     known = np.zeros((2 * n_stages + 3, n, width))
-    applied = np.zeros(imposed.signals.shape[1])
+    applied, room = np.zeros(imposed.signals.shape[1]), np.zeros((3, 3))
     if imposed.angle:
         signal(imposed, 0, 0, applied)
         points[0, 0, 0] = applied[0]
@@ -304,7 +308,9 @@ def integrated(
         carried = order == 2 and not imposed.angle
         for place in range(2 if carried else 0, 3):
             if n_past and (place != 1 or order == 4):
-                _recall(machine, imposed, history, index, step, place, points[0], pasts[place])
+                _recall(
+                    machine, imposed, history, index, step, place, points[0], room, pasts[place]
+                )
         if carried:
             for j in range(n_past):
                 for t in range(width):
