@@ -61,7 +61,7 @@ def add_product(
 
     ``out[i, t] = base[i, t] + matrix[i, k] vector[k, t] + slopes[i, k, t] vector[k, 0]``, for
     contiguous arrays; `base` may be `out`, `vector` not. `entries` lists which
-    entries there are, see `duals.entries_of`: most are 0, others move with few parameters.
+    entries there are, see `duals.list_entries`: most are 0, others move with few parameters.
     """
     signature = types.void(base, matrix, slopes, entries, vector, out, types.intp)
 

@@ -41,24 +41,22 @@ def multiplied(one: np.ndarray, other: np.ndarray, out: np.ndarray) -> None:
 
 
 @compiled_loop
-def entries_of(matrix: np.ndarray, slopes: np.ndarray) -> np.ndarray:
-    """Entries that there are, and between which numbers each has derivatives.
+def list_entries(matrix: np.ndarray, slopes: np.ndarray, found: np.ndarray) -> None:
+    """List entries that there are, and between which numbers each has derivatives.
 
     Parameters
     ----------
     matrix : array, shape (n, n)
     slopes : array, shape (n, n, width)
-
-    Returns
-    -------
-    array of int, shape (n, n, 3)
+    found : array of int, shape (n, n, 3)
         By row, for each that is not 0, its column, the first derivative, a multiple of `LANES`, and
         behind the last; then -1.
     """
     n, width = matrix.shape[0], slopes.shape[2]
-    found = np.full((n, n, 3), -1, np.int64)
     for i in range(n):
         count = 0
+        for j in range(n):
+            found[i, j, 0] = -1
         for j in range(n):
             begin = end = 0
             for t in range(width):
@@ -68,7 +66,6 @@ def entries_of(matrix: np.ndarray, slopes: np.ndarray) -> np.ndarray:
             if end or matrix[i, j] != 0.0:
                 found[i, count, 0], found[i, count, 1], found[i, count, 2] = j, begin, end
                 count += 1
-    return found
 
 
 @compiled_loop
@@ -164,7 +161,16 @@ def exponential(matrix: np.ndarray) -> np.ndarray:
     """Exponential by scaling and squaring of its Taylor series, see `exponentials`."""
     scaled, product, power = np.empty_like(matrix), np.empty_like(matrix), np.empty_like(matrix)
     if matrix.shape[2] == 1:
-        power[:, :, 0] = exponential_of_values(matrix[:, :, 0].copy())
+        # (Assigned as a whole, it would have the compiler write messages about shapes.)
+        n = matrix.shape[0]
+        values = np.empty((n, n))
+        for i in range(n):
+            for j in range(n):
+                values[i, j] = matrix[i, j, 0]
+        values = exponential_of_values(values)
+        for i in range(n):
+            for j in range(n):
+                power[i, j, 0] = values[i, j]
         return power
     count, terms = _scaled(matrix, scaled)
     _series(scaled, terms, 0, product, power)

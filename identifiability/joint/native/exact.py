@@ -8,10 +8,10 @@ import numpy as np
 
 from identifiability.joint.native.calls import add_forced, add_product, copy_row
 from identifiability.joint.native.duals import (
-    entries_of,
     exponential,
     exponential_of_values,
     halvings,
+    list_entries,
     solved,
 )
 from identifiability.joint.native.moving import (
@@ -34,7 +34,7 @@ class Propagator(NamedTuple):
     slopes : array, shape (n, n, width)
         Its derivatives; 0 in the place of the value.
     entries : array of int, shape (n, n, 3)
-        Which there are, see `duals.entries_of`.
+        Which there are, see `duals.list_entries`.
     forced : array, shape (n, m, width)
         What it becomes by what generates the imposed signal.
     """
@@ -83,7 +83,9 @@ def propagator_of(machine: Machine, imposed: Imposed) -> Propagator:
         for j in range(m):
             for t in range(wide):
                 forced[i, j, t] = moved[i, n + j, t]
-    return Propagator(onward, slopes, entries_of(onward, slopes), forced)
+    entries = np.empty((n, n, 3), np.int64)
+    list_entries(onward, slopes, entries)
+    return Propagator(onward, slopes, entries, forced)
 
 
 @compiled_loop

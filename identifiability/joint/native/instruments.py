@@ -105,9 +105,10 @@ def _pole(constant: complex, interval: float) -> np.ndarray:
     kept, mean = 1.0 - gone, gone * constant / interval
     keeping = kept * ratio / constant if there else 0j
     meaning = (gone - keeping * constant) / interval
-    return np.array(
-        [[kept, 1.0 - mean, mean - kept, 1.0 + 0j], [keeping, -meaning, meaning - keeping, 0j]]
-    )
+    found = np.empty((2, 4), np.complex128)
+    found[0, 0], found[0, 1], found[0, 2], found[0, 3] = kept, 1.0 - mean, mean - kept, 1.0
+    found[1, 0], found[1, 1], found[1, 2], found[1, 3] = keeping, -meaning, meaning - keeping, 0.0
+    return found
 
 
 @compiled_loop
@@ -130,6 +131,22 @@ def _add_last(one: np.ndarray, other: np.ndarray, out: np.ndarray) -> None:
 
 
 @compiled_loop
+def _add_moved(
+    one: np.ndarray,
+    other: np.ndarray,
+    a: complex,
+    b: complex,
+    slow: complex,
+    fast: complex,
+    out: np.ndarray,
+) -> None:
+    """Add what all of that changes by where the poles' time constants do, by `a` and `b`."""
+    for left, right in ((a * one[1], other[0]), (one[0], b * other[1])):
+        _add_last(left, right, out)
+        _add_signal(left, right, slow, fast, out)
+
+
+@compiled_loop
 def _both_poles(constant: float, shape: float, interval: float) -> np.ndarray:
     """The recursion of two poles, with derivatives by time constant and shape, shape (3, 5).
 
@@ -144,18 +161,12 @@ def _both_poles(constant: float, shape: float, interval: float) -> np.ndarray:
     by = np.zeros((3, 5))
     _add_last(one[0], other[0], by[0])
     _add_signal(one[0], other[0], slow, fast, by[0])
-    moved = np.array([[0.5 * (1 + root), 0.5 * (1 - root)], [0j, 0j]])
+    # By the time constant, then by the shape.
+    _add_moved(one, other, 0.5 * (1 + root), 0.5 * (1 - root), slow, fast, by[1])
     if apart:
-        moved[1, 0], moved[1, 1] = -constant / root, constant / root
+        _add_moved(one, other, -constant / root, constant / root, slow, fast, by[2])
         turned = root**-3
         _add_signal(one[0], other[0], turned, -turned, by[2])
-    for m in range(2):
-        for left, right in (
-            (moved[m, 0] * one[1], other[0]),
-            (one[0], moved[m, 1] * other[1]),
-        ):
-            _add_last(left, right, by[m + 1])
-            _add_signal(left, right, slow, fast, by[m + 1])
     return by
 
 

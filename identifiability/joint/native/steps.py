@@ -14,7 +14,7 @@ import numpy as np
 from identifiability.joint.native.calls import add_product, add_rows, copy_row, run
 from identifiability.joint.native.duals import (
     added,
-    entries_of,
+    list_entries,
     multiplied,
     phi_functions,
     solved,
@@ -72,7 +72,7 @@ class Scheme(NamedTuple):
         Their derivatives; 0 in the place of the value.
     used : array of int, shape (count, 2 * count)
     entries : array of int, shape (count, 2 * count, n, n, 3)
-        Which there are of each part, see `duals.entries_of`.
+        Which there are of each part, see `duals.list_entries`.
     """
 
     places: np.ndarray
@@ -91,7 +91,7 @@ def _set(scheme: Scheme, stage: int, of: int, matrix: np.ndarray, size: float) -
             scheme.parts[stage, of, i, j] += size * matrix[i, j, 0]
             for t in range(1, width):
                 scheme.slopes[stage, of, i, j, t] += size * matrix[i, j, t]
-    scheme.entries[stage, of] = entries_of(scheme.parts[stage, of], scheme.slopes[stage, of])
+    list_entries(scheme.parts[stage, of], scheme.slopes[stage, of], scheme.entries[stage, of])
 
 
 @compiled_loop
