@@ -91,3 +91,15 @@ def test_fits_and_likelihood_both_know(recorded):
     for ready in (*split.fitted, *split.held_out, *band_of([trial], []).prepared):
         assert ready.warm_up > 2.5
         assert gap(ready, model, values) < 1e-4
+
+
+def test_of_a_joint_that_swings_on_no_more_is_computed_than_twice_what_is_compared():
+    """What precedes a piece is computed again for each: short ones would be mostly that."""
+    trial, _, _ = pushed()
+    (ready,) = prepare_whole_band([trial])
+    swinging = replace(ready, warm_up=20.0)
+    sizes = [o.measured.size for o in pieces(swinging, Noise(1.0))]
+    assert len(sizes) > 1
+    assert sum(sizes) < 2 * TIME.size
+    # Few of short ones, to begin fits by, are quicker all the same.
+    assert max(o.measured.size for o in pieces(swinging, Noise(1.0), shortly=True)[:2]) <= 4096
