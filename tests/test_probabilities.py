@@ -767,7 +767,7 @@ def test_what_is_compared_is_exact_for_a_joint_that_is_known():
     known = {"K": 26.0, "B": 1.0, "I": 0.08, "cubic_stiffness.coefficient": 20 / 3 / 0.2**2}
     problem = band.problem(model)
     residuals = problem.residuals(problem.free_vector(known | {"cubic_stiffness.centre": 0.0}))
-    for left in band.stretches(problem.by_observation(residuals[:, None])):
+    for left in band.compared(problem.by_observation(residuals[:, None]), model):
         assert np.ptp(left) < 2e-3 * band.scale
 
 
@@ -946,8 +946,7 @@ def test_the_signature_of_what_diverges_has_no_size_but_a_shape():
     ev = evaluator_for(servo_trials(Joint(ANATOMY)))
     found = ev.by_least_squares(ev.begun(KBI(), [START]))
     left = _Left(ev, found, ev.white)
-    shape = (len(ev.band.observations), max(o.measured.size for o in ev.band.observations), 1)
-    change = np.random.default_rng(4).standard_normal(shape)
+    change = np.random.default_rng(4).standard_normal(ev.band.n_samples)
     expected = left.removed(change)
     assert expected > 0
     assert left.removed(1e200 * change) == pytest.approx(expected)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal, NamedTuple
 
 import jax
@@ -184,7 +185,7 @@ class Model:
             )
         return np.array([float(given[name]) for name in self.parameter_names])
 
-    @property
+    @cached_property
     def linear(self) -> bool:
         """Whether the joint is linear without delayed feedback: it then has exact responses."""
         nominal = jnp.asarray(self.nominal)

@@ -12,7 +12,6 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from scipy import signal
 from scipy.interpolate import CubicSpline
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
 
@@ -22,6 +21,13 @@ from identifiability.inference.problem import Observation, Prior, Problem
 from identifiability.inference.starts import plain_values
 from identifiability.investigation.pieces import MOST_SAMPLES, owners, pieces, remembering
 from identifiability.investigation.posterior import between
+from identifiability.investigation.posterior.halving import (
+    KEPT,
+    Window,
+    halve,
+    halved,
+    without_level,
+)
 from identifiability.joint.model import Model
 from identifiability.joint.scheme import Scheme
 from identifiability.measurement.filtering import (
@@ -36,9 +42,8 @@ from identifiability.measurement.noise import Noise
 from identifiability.measurement.perturbations import imposed_motion
 from identifiability.measurement.prepared import Prepared, prepare_whole_band
 from identifiability.measurement.splitting import Rule, halves
-from identifiability.measurement.trials import Trial, extended
+from identifiability.measurement.trials import Trial
 
-_HALF_BAND = signal.firwin(23, 0.5)
 _ENOUGH = 3.9  # samples a cycle of the cut-off, of which every other one is enough
 _SAME_RATE = 1e-3
 _AROUND, _STANDS = 5, 0.6  # samples; steps: a filter makes less of one
@@ -55,6 +60,8 @@ class Band:
     ----------
     prepared : tuple of Prepared
         Sampled alike.
+    whole : tuple of Prepared
+        The same, moved by the whole of an imposed motion; none where nothing was cut off.
     every : int
         One sample in so many is compared.
     bounds : mapping of str to (float, float)
@@ -81,6 +88,7 @@ class Band:
     recorded: tuple[Trial, ...] = ()
     cutoff_hz: float = np.inf
     most: int = MOST_SAMPLES
+    whole: tuple[Prepared, ...] = ()
 
     def without(self, rule: Rule, numbers: Collection[int]) -> Band:
         """The same without what an investigation holds out: trials, or half of one.
@@ -98,11 +106,15 @@ class Band:
             return replace(
                 self,
                 prepared=tuple(self.prepared[i] for i in kept),
+                whole=tuple(p for i, p in enumerate(self.whole) if i in kept),
                 changed=changed,
                 recorded=tuple(t for i, t in enumerate(self.recorded) if i in kept),
             )
-        (record,) = self.prepared
-        return replace(self, prepared=(halves(record)[rule == "first half"],))
+        half = rule == "first half"
+        prepared, whole = (
+            tuple(halves(p)[half] for p in both) for both in (self.prepared, self.whole)
+        )
+        return replace(self, prepared=prepared, whole=whole)
 
     @property
     def angle_imposed(self) -> bool:
@@ -118,6 +130,48 @@ class Band:
     def observations(self) -> list[Observation]:
         """The trials, long ones in pieces; residuals are in the response's unit."""
         return [o for o, _ in self._placed]
+
+    def sees_whole(self, model: Model) -> bool:
+        """Whether a model is given the whole motion, and its torque passes the filter."""
+        return bool(self.whole) and not model.linear
+
+    @cached_property
+    def _windows(self) -> list[Window]:
+        return self._whole(self.whole)
+
+    def _whole(self, whole: Sequence[Prepared]) -> list[Window]:
+        """Pieces as they are placed, of trials moved by their whole motions."""
+        placed = zip(self._placed, self.trial, strict=True)
+        return [Window.of(whole[trial], piece, span) for (piece, span), trial in placed]
+
+    def compared(self, rows: np.ndarray, model: Model, *, differ: bool = False) -> list[np.ndarray]:
+        """Of a model's residuals and their derivatives what is compared, by stretch.
+
+        Parameters
+        ----------
+        rows : array, shape (n_observations, n, k)
+            By observation of the model's problem and sample; the residual, then derivatives.
+        model : Model
+        differ : bool
+            Whether the first column too is a difference, of two residuals.
+        """
+        if not self.sees_whole(model):
+            return self.stretches(rows)
+        seen = [
+            window.compared(mine, self.every, differ=differ)
+            for window, mine in zip(self._windows, rows, strict=True)
+        ]
+        return without_level(seen, self.trial)
+
+    def responses(self, problem: Problem, x: np.ndarray) -> list[np.ndarray]:
+        """Response of a model of these trials, between the ends of each stretch."""
+        found = problem.responses(x)
+        if not self.sees_whole(problem.model):
+            return [one[window] for one, window in zip(found, self.windows, strict=True)]
+        return [
+            window.compared(one[:, None], 1, differ=True)[:, 0]
+            for one, window in zip(found, self._windows, strict=True)
+        ]
 
     @cached_property
     def windows(self) -> list[np.ndarray]:
@@ -216,29 +270,41 @@ class Band:
         ]
         return float(np.sqrt(np.mean(np.concatenate(levelled) ** 2)))
 
-    def probed(self, sd: float, seed: int) -> list[np.ndarray]:
+    def probed(self, sd: float, seed: int, *, whole: bool = False) -> list[np.ndarray]:
         """Angles of the trials with noise of this standard deviation [rad].
 
         Of even power at all frequencies: chance would give a narrow resonance what to feed on.
+
+        Parameters
+        ----------
+        sd : float
+        seed : int
+        whole : bool
+            Whether of the whole motion, with noise of which the filter leaves as much.
         """
         random = np.random.default_rng(seed)
         out = []
-        for p in self.prepared:
+        for p in self.whole if whole else self.prepared:
             n = p.trial.n_samples
             phases = random.uniform(0.0, 2 * np.pi, n // 2 + 1)
             noise = np.fft.irfft(np.exp(1j * phases), n)
             noise /= noise.std()
-            if self.every > 1:
-                noise = _halve(noise, p.trial.angle) / np.sqrt(np.sum(_HALF_BAND**2))
+            if whole:
+                noise /= KEPT
+            elif self.every > 1:
+                noise = halve(noise, p.trial.angle) / KEPT
             out.append(p.trial.angle + sd * noise)
         return out
 
-    def moved(self, angles: Sequence[np.ndarray]) -> list[Observation]:
+    def moved(self, angles: Sequence[np.ndarray], *, whole: bool = False) -> list[Observation]:
         """The observations that are probed, moved by other angles [rad], one by trial."""
         moved = [
             replace(p, drive=imposed_motion(p.trial.time, angle))
-            for p, angle in zip(self.prepared, angles, strict=True)
+            for p, angle in zip(self.whole if whole else self.prepared, angles, strict=True)
         ]
+        if whole:
+            every_window = self._whole(moved)
+            return [every_window[i].observation for i in self.probed_ones]
         every = self._pieces(moved)
         return [every[i][0] for i in self.probed_ones]
 
@@ -287,9 +353,12 @@ class Band:
             if p.unit == "Hz" and p.lower < seen < p.upper
         }
         bounds |= {n: b for n, b in self.bounds.items() if n in names}
+        own = self.observations
+        if self.sees_whole(model):
+            own = [window.observation for window in self._windows]
         return Problem(
             model,
-            [*self.observations, *probes],
+            [*own, *probes],
             Prior.recorded(model, **bounds),
             fixed=plain_values(model, refined),
             scheme=scheme,
@@ -336,34 +405,39 @@ def band_of(
         ready = tuple(remembering(joined(prepare_whole_band(every), torque_between)))
         return Band(ready, 1, dict(bounds or {}), step=step)
     cutoff_hz = cutoff(every, lowpass_hz) or HIGHEST_HZ
-    fitted, halved = _moved_by_angles(every, cutoff_hz)
+    fitted, whole = _moved_by_angles(every, cutoff_hz)
     noise = known_noise(recorded, fitted[0].trial.sampling_rate)
-    if halved:
-        noise *= np.sqrt(np.sum(_HALF_BAND**2))
+    if whole:
+        noise *= KEPT
     changed = tuple(
         tuple(between.changes(fitted, _moved_by_angles(between.left_out(every, i), cutoff_hz)[0]))
         for i in (0, 1)
     )
     return Band(
         fitted,
-        1 + halved,
+        1 + bool(whole),
         dict(bounds or {}),
         angle_noise=noise,
         step=step,
         changed=changed,
         recorded=tuple(every),
         cutoff_hz=float(cutoff_hz),
+        whole=whole,
     )
 
 
 def _moved_by_angles(
     trials: Sequence[Trial], cutoff_hz: float
-) -> tuple[tuple[Prepared, ...], bool]:
-    """Trials whose angle was imposed, prepared, and whether every other sample is compared."""
+) -> tuple[tuple[Prepared, ...], tuple[Prepared, ...]]:
+    """Trials whose angle was imposed, prepared.
+
+    And the same moved by their whole motions, where the upper half of the band was cut off.
+    """
     fitted = tuple(remembering(prepare_whole_band(trials, lowpass_hz=cutoff_hz)))
     if fitted[0].trial.sampling_rate < _ENOUGH * cutoff_hz:
-        return fitted, False
-    return tuple(_halved(p) for p in fitted), True
+        return fitted, ()
+    pairs = [halved(p) for p in fitted]
+    return tuple(one for one, _ in pairs), tuple(whole for _, whole in pairs)
 
 
 def _alike(trials: list[Trial]) -> list[Trial]:
@@ -377,25 +451,3 @@ def _alike(trials: list[Trial]) -> list[Trial]:
             "rate for all whose effects are weighed together, or multiples of one; resample them"
         )
     return [t.thinned(f) if f > 1 else t for t, f in zip(trials, factors, strict=True)]
-
-
-def _halve(values: np.ndarray, angle: np.ndarray) -> np.ndarray:
-    """Values without the upper half of their band; beyond the ends as the angle moves there."""
-    around = extended(values, _HALF_BAND.size // 2, angle)
-    return np.convolve(around, _HALF_BAND, mode="valid")
-
-
-def _halved(prepared: Prepared) -> Prepared:
-    """A trial without the upper half of its band, compared where the filter knew all it needed."""
-    trial, reach = prepared.trial, _HALF_BAND.size // 2
-    angle = _halve(trial.angle, trial.angle)
-    # At a beginning at rest, which `prepared` shows by comparing it, the filter has no guess to do.
-    first = prepared.first if prepared.first < reach // 2 + 1 else max(prepared.first, reach)
-    return replace(
-        prepared,
-        trial=replace(trial, angle=angle),
-        drive=imposed_motion(trial.time, angle),
-        response=_halve(prepared.response, trial.angle),
-        first=first,
-        last=min(prepared.last, trial.n_samples - reach),
-    )

@@ -76,10 +76,10 @@ def motions(evaluator: Evaluator, best: Evaluated) -> tuple[list[Motion], list[M
     band = evaluator.band
     problem = band.problem(best.model, refined=best.refined, scheme=best.scheme)
     predicted = [p.response.copy() for p in band.prepared]
-    for response, window, span, trial in zip(
-        problem.responses(best.x), band.windows, band.spans, band.trial, strict=True
+    for response, span, trial in zip(
+        band.responses(problem, best.x), band.spans, band.trial, strict=True
     ):
-        predicted[trial][span] = response[window]
+        predicted[trial][span] = response
     moved = []
     for p, response in zip(band.prepared, predicted, strict=True):
         rate = np.gradient(response, p.interval)

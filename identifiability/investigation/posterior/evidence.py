@@ -223,7 +223,7 @@ class Evaluator:
             Where the model has no finite response, or is too fast for its samples.
         """
         problem = self.band.problem(
-            model, refined=refined, scheme=scheme, probes=self.reference.probes
+            model, refined=refined, scheme=scheme, probes=self.reference.probes_of(model)
         )
         also = noise.contenders[:1] if noise is not None else ()
 
@@ -294,7 +294,7 @@ class Evaluator:
     ) -> Evaluated:
         """About where a fit ends; arguments as for `evaluate`."""
         problem = self.band.problem(
-            model, refined=refined, scheme=scheme, probes=self.reference.probes
+            model, refined=refined, scheme=scheme, probes=self.reference.probes_of(model)
         )
         beginnings = self._beginnings(problem, starts)
 
@@ -322,7 +322,9 @@ class Evaluator:
             return None
         moved = problem.halved().residuals(found.x) - problem.residuals(found.x)
         rows = problem.by_observation(moved[:, None])
-        white = found.weights.whitened(found.weights.band.stretches(rows))
+        band = found.weights.band
+        changed = band.compared(rows[: len(band.observations)], problem.model, differ=True)
+        white = found.weights.whitened(changed)
         error = float(np.sum(white**2)) / problem.integration.shown
         if not error > _SOLVER:
             return None
@@ -377,7 +379,7 @@ class Evaluator:
         """The best starts of a fit by least squares, the sizes of effects fitted."""
         if self.coarse is not None:
             return self.coarse.begun(model, starts)
-        problem = self.band.problem(model, probes=self.reference.probes)
+        problem = self.band.problem(model, probes=self.reference.probes_of(model))
         beginnings = self._beginnings(problem, starts)
         best = beginnings.best(self.white, _CARRIED)
         return Begun(problem, best, Weighed(problem, self.band, self.white).squares(best[0]))
@@ -387,7 +389,9 @@ class Evaluator:
         problem, points = begun.problem, begun.points
         if self.coarse is not None:
             points = self.coarse.fitted(problem, points, self.coarse.white)[None]
-            problem = self.band.problem(problem.model, probes=self.reference.probes)
+            problem = self.band.problem(
+                problem.model, probes=self.reference.probes_of(problem.model)
+            )
         x = self.fitted(problem, points, self.white)
         return self.evaluated(problem, x, self.white)
 

@@ -84,7 +84,7 @@ class Evaluations:
             model,
             refined=refined,
             scheme=Scheme(**plain["scheme"]),
-            probes=evaluator.reference.probes,
+            probes=evaluator.reference.probes_of(model),
         )
         sought = [Contender(Order(*order), np.array(v, float)) for order, v in plain["sought"]]
         raw = raw_residuals(problem, evaluator.band, stored["x"])[0]

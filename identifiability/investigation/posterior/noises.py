@@ -131,12 +131,12 @@ def raw_residuals(
     residuals = problem.by_observation(problem.residuals(x)[:, None])
     both = np.concatenate([residuals, problem.by_observation(problem.jacobian(x))], axis=2)
     both = np.clip(np.nan_to_num(both, nan=_HUGE), -_HUGE, _HUGE)
-    trials = band.stretches(both[:rows])
+    trials = band.compared(both[:rows], problem.model)
     if n == rows:
         return trials, None
     changed = np.zeros_like(both[:rows])
     changed[band.probed_ones] = both[rows:n] - both[band.probed_ones]
-    return trials, band.stretches(changed)
+    return trials, band.compared(changed, problem.model, differ=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -271,6 +271,8 @@ class Reference:
         Angles [rad] of the trials with more noise; none where the torque is imposed.
     probes : list of Observation
         The observations moved by them.
+    whole_probes : list of Observation
+        The same of whole motions, for models that are given these.
     probe_problem : Problem or None
         K, B and I with these probes.
     """
@@ -279,6 +281,7 @@ class Reference:
     joint: np.ndarray
     probed: list[np.ndarray] = field(default_factory=list)
     probes: list[Observation] = field(default_factory=list)
+    whole_probes: list[Observation] = field(default_factory=list)
     probe_problem: Problem | None = None
 
     @property
@@ -312,9 +315,16 @@ class Reference:
             return cls(band, joint)
         size = float(np.mean([np.std(p.trial.angle) for p in band.prepared]))
         probed = band.probed(_PROBE * size, seed)
-        probes = band.moved(probed)
-        whole = replace(problem, observations=[*band.observations, *probes])
-        return cls(band, joint, probed, probes, whole)
+        probes, whole = band.moved(probed), []
+        if band.whole:
+            angles = band.probed(_PROBE * size, seed, whole=True)
+            whole = band.moved(angles, whole=True)
+        with_probes = replace(problem, observations=[*band.observations, *probes])
+        return cls(band, joint, probed, probes, whole, with_probes)
+
+    def probes_of(self, model: Model) -> list[Observation]:
+        """The observations with more noise, moved by what a model is given."""
+        return self.whole_probes if self.band.sees_whole(model) else self.probes
 
     def weights(
         self, raw: Sequence[np.ndarray], tried: Sequence[Contender], like: Weights | None = None

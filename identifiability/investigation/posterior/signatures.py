@@ -14,6 +14,7 @@ import numpy as np
 
 from identifiability.inference.problem import Problem
 from identifiability.inference.starts import starting_values
+from identifiability.investigation.posterior.band import Band
 from identifiability.investigation.posterior.evidence import Evaluated, Evaluator
 from identifiability.investigation.posterior.noises import Weights
 from identifiability.joint.effects import Effect
@@ -63,9 +64,9 @@ def strongest(
         # In the same steps: what their length changes is no signature.
         if problem.integration not in plain:
             same = _problem(evaluator, found.model, found).with_scheme(problem.integration)
-            plain[problem.integration] = _residual(same, found.values)
+            plain[problem.integration] = _residual(same, found.values, evaluator.band)
         before = plain[problem.integration]
-        changes[key] = [_residual(problem, shape) - before for shape in shapes]
+        changes[key] = [_residual(problem, s, evaluator.band) - before for s in shapes]
     kept: set[str] = set()
     noises = [(evaluator.white, most)]
     if not plainly:
@@ -85,15 +86,17 @@ def _by_fewer(fewer: Evaluator, found: Evaluated) -> Evaluated:
 
 def _problem(evaluator: Evaluator, model: Model, found: Evaluated) -> Problem:
     """A model in steps at least as short as another's, with as much of it in richer form."""
-    probes = evaluator.reference.probes
+    probes = evaluator.reference.probes_of(model)
     problem = evaluator.band.problem(model, refined=found.refined, probes=probes)
     finer = found.scheme.is_finer_than(problem.integration)
     return problem.with_scheme(found.scheme) if finer else problem
 
 
-def _residual(problem: Problem, values: Mapping[str, float]) -> np.ndarray:
-    """By observation and sample, those of the probes included."""
-    return problem.by_observation(problem.residuals(problem.free_vector(values))[:, None])
+def _residual(problem: Problem, values: Mapping[str, float], band: Band) -> np.ndarray:
+    """What a model leaves of all that is compared, one stretch after the other."""
+    rows = problem.by_observation(problem.residuals(problem.free_vector(values))[:, None])
+    compared = band.compared(rows[: len(band.observations)], problem.model)
+    return np.concatenate(compared)[:, 0]
 
 
 class _Left:
@@ -120,6 +123,8 @@ class _Left:
         largest = float(np.max(np.abs(change)))
         if not largest:
             return 0.0
-        white = self._rest(self.weights.whitened(self.band.stretches(change / largest))[:, 0])
+        ends = np.cumsum([samples.size for samples in self.band.samples])[:-1]
+        by_stretch = np.split((change / largest)[:, None], ends)
+        white = self._rest(self.weights.whitened(by_stretch)[:, 0])
         size = float(white @ white)
         return float(white @ self.residual) ** 2 / size if size > 0 else 0.0

@@ -212,7 +212,7 @@ class Hidden:
     @property
     def _has_corners(self) -> bool:
         """Whether a torque may have corners that reach beyond the band that is compared."""
-        return self._evaluator.band.angle_imposed and not self.model.effect(self.key).linear
+        return self._evaluator.band.angle_imposed and not self.model.linear
 
     @cached_property
     def _problems(self) -> tuple[Problem, Problem]:
@@ -224,9 +224,14 @@ class Hidden:
         )
 
     @cached_property
-    def _left(self) -> np.ndarray:
-        """What the model without it leaves: model minus measurement."""
-        return self._problems[0].residuals(self._without.x)
+    def _left(self) -> list[np.ndarray]:
+        """What the model without it leaves: model minus measurement, by stretch."""
+        return self._compared(self._problems[0], self._without.x)
+
+    def _compared(self, problem: Problem, x: np.ndarray) -> list[np.ndarray]:
+        band = self._evaluator.band
+        rows = problem.by_observation(problem.residuals(x)[:, None])
+        return [one[:, 0] for one in band.compared(rows, problem.model)]
 
     def _trace(self, values: Mapping[str, float]) -> tuple[Problem, np.ndarray] | None:
         """Problem of the model with it, in steps that are short enough, and what it changes.
@@ -235,15 +240,16 @@ class Hidden:
         """
         plain, having = self._problems
         having = having.with_scheme(having.suited(self.model.vector(values)))
-        x, before = having.free_vector(values), self._left
+        x, before = having.free_vector(values), np.concatenate(self._left)
         while True:
-            after = having.residuals(x)
+            after = np.concatenate(self._compared(having, x))
             if not np.all(np.isfinite(after)):
                 return None
             if having.integration.exact:
                 break
             # What the integration is wrong by must not pass for a trace.
-            moved, trace = having.halved().residuals(x) - after, after - before
+            moved = np.concatenate(self._compared(having.halved(), x)) - after
+            trace = after - before
             error = float(moved @ moved) / max(float(trace @ trace), 1e-300)
             error /= having.integration.shown * _SOLVER_SHARE
             if error <= 1:
@@ -251,24 +257,29 @@ class Hidden:
             if having.integration.finest:
                 return None
             having = having.with_scheme(having.integration.improved(error))
-        rows = plain.by_observation(after - before)
         if self._has_corners:
-            for row, change in zip(rows, self._filtered(values), strict=True):
+            changes = self._filtered(values)
+            rows = np.zeros((len(changes), max(change.size for change in changes)))
+            for row, change in zip(rows, changes, strict=True):
                 row[: change.size] = change
-            if not np.all(np.isfinite(rows)):
-                return None
-        return having, rows
+        else:
+            rows = having.by_observation(having.residuals(x) - plain.residuals(self._without.x))
+        return (having, rows) if np.all(np.isfinite(rows)) else None
 
     def _recorded(self, having: Problem, trace: np.ndarray, draw: int) -> tuple[Problem, Problem]:
         """Problems of both models, of what would have been recorded in a draw of the noise."""
         plain, rows = self._problems[0], trace.copy()
         if draw:
             self._exchange(rows, draw)
-        observations = [
-            replace(o, measured=o.measured + row[: o.measured.size])
-            for o, row in zip(plain.observations, rows, strict=True)
-        ]
-        return replace(plain, observations=observations), replace(having, observations=observations)
+        found = []
+        for problem in (plain, having):
+            # Of the whole motion there are some samples more, where nothing is compared.
+            observations = [replace(o, measured=o.measured.copy()) for o in problem.observations]
+            for o, row in zip(observations, rows, strict=True):
+                n = min(row.size, o.measured.size)
+                o.measured[:n] += row[:n]
+            found.append(replace(problem, observations=observations))
+        return found[0], found[1]
 
     def _filtered(self, values: Mapping[str, float]) -> list[np.ndarray]:
         """A trace as the recording would have it, by observation.
@@ -294,10 +305,9 @@ class Hidden:
 
     def _exchange(self, rows: np.ndarray, draw: int) -> None:
         """Add to the trials what puts a draw of the noise in the place of the recorded one."""
-        left = self._problems[0].by_observation(self._left)
         drawn = self.known.noise.draw(np.random.default_rng([self.known.seed, draw]))
         for i, (chosen, noise) in enumerate(zip(self._evaluator.band.samples, drawn, strict=True)):
-            rows[i, chosen] += left[i, chosen] + noise
+            rows[i, chosen] += self._left[i] + noise
 
     def _starts(self, values: Mapping[str, float], problem: Problem) -> list[np.ndarray]:
         """Points to fit the model without the effect from.
