@@ -360,15 +360,22 @@ def extended(values: FloatArray, n: int, angle: FloatArray) -> FloatArray:
     -------
     array, shape (m + 2 n,)
     """
-    near = min(n, angle.size - 1)
-    moved = np.abs(angle[near:] - angle[: angle.size - near])
     ends = np.pad(values, n, mode="edge")
     turned = np.pad(values, n, mode="reflect", reflect_type="odd")
-    if moved[0] > _IN_MOTION * moved.max():
+    begins, stops = ends_in_motion(angle, n)
+    if begins:
         ends[:n] = turned[:n]
-    if moved[-1] > _IN_MOTION * moved.max():
+    if stops:
         ends[-n:] = turned[-n:]
     return ends
+
+
+def ends_in_motion(angle: FloatArray, n: int) -> tuple[bool, bool]:
+    """Whether an angle [rad], shape (m,), moves within so many samples of its beginning and end."""
+    near = min(n, angle.size - 1)
+    moved = np.abs(angle[near:] - angle[: angle.size - near])
+    least = _IN_MOTION * moved.max()
+    return bool(moved[0] > least), bool(moved[-1] > least)
 
 
 def onsets(trial: Trial, *, separation: float = 0.1, hold: float = 0.02) -> NDArray[np.intp]:

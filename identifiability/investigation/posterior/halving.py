@@ -19,7 +19,7 @@ from identifiability.inference.problem import Observation, observe
 from identifiability.measurement.noise import Noise
 from identifiability.measurement.perturbations import imposed_motion
 from identifiability.measurement.prepared import Prepared
-from identifiability.measurement.trials import extended
+from identifiability.measurement.trials import ends_in_motion, extended
 
 _TAPS = signal.firwin(23, 0.5)
 _REACH = _TAPS.size // 2
@@ -62,11 +62,15 @@ class Window:
         Its measured response has passed the filter already.
     first, last : int
         Of its samples that are compared, of which every other one is.
+    turned : bool
+        Whether what is before its trial is what follows, turned about the beginning: see
+        `extended`.
     """
 
     observation: Observation
     first: int
     last: int
+    turned: bool
 
     @classmethod
     def of(cls, whole: Prepared, piece: Observation, span: slice) -> Window:
@@ -79,9 +83,9 @@ class Window:
             impulses=whole.drive.impulses[begin:end],
         )
         first, last = span.start - begin, span.stop - begin
-        needed = np.arange(max(first - _REACH, 0), end - begin)
+        needed = np.arange(_first_needed(first), end - begin)
         seen = observe(drive, whole.response[begin:end], Noise(1.0), select=needed)
-        return cls(seen, first, last)
+        return cls(seen, first, last, ends_in_motion(whole.trial.angle, _REACH)[0])
 
     def compared(self, rows: np.ndarray, every: int, *, differ: bool) -> np.ndarray:
         """What the filter leaves of residuals and their derivatives, shape (n, k).
@@ -96,16 +100,27 @@ class Window:
             Whether all columns are differences: what was measured is in none of them.
         """
         measured = self.observation.measured
-        begin, end = max(self.first - _REACH, 0), min(self.last + _REACH, measured.size)
+        begin, end = _first_needed(self.first), min(self.last + _REACH, measured.size)
         values = rows[begin:end].copy()
         if not differ:
             values[:, 0] += measured[begin:end]
-        # Before a beginning at rest all is as it is there.
-        passed = correlate1d(values, _TAPS, axis=0, mode="nearest")
-        found = passed[self.first - begin : self.last - begin : every]
+        before = begin + _REACH - self.first
+        beyond = np.repeat(values[:1], before, axis=0)
+        if self.turned:
+            beyond = 2 * beyond - values[before:0:-1]
+        passed = correlate1d(np.concatenate([beyond, values]), _TAPS, axis=0)
+        found = passed[_REACH : _REACH + self.last - self.first : every]
         if not differ:
             found[:, 0] -= measured[self.first : self.last : every]
         return found
+
+
+def _first_needed(first: int) -> int:
+    """First sample that the filter is given, of which this one is the first to be compared.
+
+    That one itself where there are too few before it: these are the spline's loose end.
+    """
+    return first - _REACH if first >= _REACH else first
 
 
 def without_level(columns: Sequence[np.ndarray], trial: np.ndarray) -> list[np.ndarray]:

@@ -1,0 +1,123 @@
+"""Models that are not linear are seen through the filter that cut off the noise of an angle."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from identifiability.inference.problem import Problem
+from identifiability.investigation.posterior.band import band_of
+from identifiability.investigation.posterior.halving import halve, without_level
+from identifiability.investigation.session import Investigation
+from identifiability.joint.effects import EFFECTS
+from identifiability.joint.model import KBI
+from identifiability.joint.response import simulate
+from identifiability.measurement.trials import Trial
+
+JOINT = {"K": 8.0, "B": 0.3, "I": 0.05}
+FRICTION = KBI() + EFFECTS["coulomb_friction"]()
+RUBBING = JOINT | {
+    "coulomb_friction.torque": 0.3,
+    "coulomb_friction.velocity": 0.02,
+    "coulomb_friction.breakaway": 0.0,
+    "coulomb_friction.asymmetry": 0.0,
+}
+ANGLE_SD = 2e-4
+
+
+def to_and_fro(seconds=10.0, rate=500, *, friction=0.3, seed=0):
+    """A joint that is moved slowly to and fro, by equations of its own; both channels noisy."""
+    random, time = np.random.default_rng(seed), np.arange(int(rate * seconds)) / rate
+    size = 0.2 * np.clip(time, 0.0, 1.0) ** 2 * (3 - 2 * np.clip(time, 0.0, 1.0))
+    rise = np.where(time < 1.0, 0.2 * 6 * time * (1 - time), 0.0)
+    bend = np.where(time < 1.0, 0.2 * (6 - 12 * time), 0.0)
+    w = 2 * np.pi
+    wave, slope = np.sin(w * time), w * np.cos(w * time)
+    angle, velocity = size * wave, rise * wave + size * slope
+    acceleration = bend * wave + 2 * rise * slope - w**2 * angle
+    torque = 8.0 * angle + 0.3 * velocity + 0.05 * acceleration
+    torque += friction * np.tanh(velocity / 0.02)
+    torque += 0.01 * torque.std() * random.standard_normal(time.size)
+    angle = angle + ANGLE_SD * random.standard_normal(time.size)
+    return Trial(time, torque, angle, driven="angle", name="to and fro")
+
+
+def left(band, model, values):
+    """What a model leaves at given values [Nm], root mean square."""
+    problem = band.problem(model)
+    rows = problem.by_observation(problem.residuals(problem.free_vector(values))[:, None])
+    parts = without_level(band.compared(rows, model), band.trial)
+    return float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
+
+
+def test_a_linear_model_is_the_same_on_either_side_of_the_filter():
+    band = band_of([to_and_fro()], [])
+    assert band.whole
+    model = KBI()
+    by_motion = band.problem(model)
+    x = by_motion.free_vector(JOINT)
+    before = without_level(
+        band.stretches(by_motion.by_observation(by_motion.residuals(x)[:, None])), band.trial
+    )
+    through = replace(by_motion, observations=[w.observation for w in band._windows])
+    rows = through.by_observation(through.residuals(x)[:, None])
+    seen = [
+        w.compared(r, band.every, differ=False) for w, r in zip(band._windows, rows, strict=True)
+    ]
+    gap = np.abs(np.concatenate(before) - np.concatenate(without_level(seen, band.trial)))
+    # But for the ends, where both have to guess.
+    assert gap[4:-2].max() < 5e-4 * band.scale
+    assert gap.max() < 0.02 * band.scale
+
+
+@pytest.mark.parametrize("seconds", [4.0, 60.0])
+def test_what_is_seen_is_the_filtered_torque_in_pieces_as_in_one(seconds):
+    """At the ends of pieces too, beyond which the filter reaches."""
+    band = band_of([to_and_fro(seconds)], [])
+    model, (whole,) = FRICTION, band.whole
+    problem = band.problem(model)
+    assert (len(problem.observations) > 1) is (seconds > 10)
+    torque = simulate(model, model.vector(RUBBING), whole.drive, scheme=problem.integration)
+    expected = halve(torque, whole.trial.angle)
+    responses = band.responses(problem, problem.free_vector(RUBBING))
+    for span, response in zip(band.spans, responses, strict=True):
+        # Where the trial begins it is not given all that there is: the spline is loose there.
+        known = slice(12 if span.start < 12 else 0, None)
+        assert response[known] == pytest.approx(expected[span][known], abs=1e-6)
+
+
+def test_frictions_corners_are_not_made_of_the_motion_below_the_cut_off():
+    band = band_of([to_and_fro()], [])
+    halved = replace(band, whole=())
+    assert left(band, FRICTION, RUBBING) < 0.5 * left(halved, FRICTION, RUBBING)
+    # K, B and I leave the same.
+    assert left(band, KBI(), JOINT) == left(halved, KBI(), JOINT)
+
+
+def test_friction_is_named_where_the_angle_is_noisy():
+    """It stood beside something unknown, of its own corners' making."""
+    library = {key: EFFECTS[key] for key in ("coulomb_friction", "cubic_stiffness")}
+    study = Investigation([to_and_fro()], library=library)
+    found = study.weigh()
+    assert ("coulomb_friction",) in study.claim(found).sets
+    assert found.none_of_these < 0.01
+    values = found.sets["coulomb_friction",].candidate.values
+    for name in ("K", "B", "I", "coulomb_friction.torque"):
+        assert values[name] == pytest.approx(RUBBING[name], rel=0.1)
+
+
+def test_a_joint_without_friction_is_said_to_have_none():
+    library = {key: EFFECTS[key] for key in ("coulomb_friction", "cubic_stiffness")}
+    study = Investigation([to_and_fro(friction=0.0)], library=library)
+    assert study.claim(study.weigh()).kind == "nothing"
+
+
+def test_halves_and_chosen_trials_keep_their_whole_motions():
+    trials = [to_and_fro(3.0, seed=seed) for seed in range(3)]
+    several = band_of(trials, []).without("by amplitude", [1])
+    assert [w.name for w in several.whole] == [p.name for p in several.prepared]
+    assert len(several.whole) == 2
+    half = band_of(trials[:1], []).without("second half", [])
+    assert [(w.first, w.last) for w in half.whole] == [(p.first, p.last) for p in half.prepared]
+    assert isinstance(half.problem(FRICTION), Problem)
+    assert np.isfinite(left(half, FRICTION, RUBBING))
