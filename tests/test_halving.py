@@ -45,8 +45,7 @@ def to_and_fro(seconds=10.0, rate=500, *, friction=0.3, seed=0):
 def left(band, model, values):
     """What a model leaves at given values [Nm], root mean square."""
     problem = band.problem(model)
-    rows = problem.by_observation(problem.residuals(problem.free_vector(values))[:, None])
-    parts = without_level(band.compared(rows, model), band.trial)
+    parts = without_level(band.residuals(problem, problem.free_vector(values)), band.trial)
     return float(np.sqrt(np.mean(np.concatenate(parts) ** 2)))
 
 

@@ -163,6 +163,11 @@ class Band:
         ]
         return without_level(seen, self.trial)
 
+    def residuals(self, problem: Problem, x: np.ndarray) -> list[np.ndarray]:
+        """What a model of these trials leaves of all that is compared, by stretch, shape (n, 1)."""
+        rows = problem.by_observation(problem.residuals(x)[:, None])
+        return self.compared(rows[: len(self.observations)], problem.model)
+
     def responses(self, problem: Problem, x: np.ndarray) -> list[np.ndarray]:
         """Response of a model of these trials, between the ends of each stretch."""
         found = problem.responses(x)

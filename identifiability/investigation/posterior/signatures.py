@@ -64,9 +64,9 @@ def strongest(
         # In the same steps: what their length changes is no signature.
         if problem.integration not in plain:
             same = _problem(evaluator, found.model, found).with_scheme(problem.integration)
-            plain[problem.integration] = _residual(same, found.values, evaluator.band)
+            plain[problem.integration] = _residual(evaluator.band, same, found.values)
         before = plain[problem.integration]
-        changes[key] = [_residual(problem, s, evaluator.band) - before for s in shapes]
+        changes[key] = [_residual(evaluator.band, problem, s) - before for s in shapes]
     kept: set[str] = set()
     noises = [(evaluator.white, most)]
     if not plainly:
@@ -92,11 +92,9 @@ def _problem(evaluator: Evaluator, model: Model, found: Evaluated) -> Problem:
     return problem.with_scheme(found.scheme) if finer else problem
 
 
-def _residual(problem: Problem, values: Mapping[str, float], band: Band) -> np.ndarray:
+def _residual(band: Band, problem: Problem, values: Mapping[str, float]) -> np.ndarray:
     """What a model leaves of all that is compared, one stretch after the other."""
-    rows = problem.by_observation(problem.residuals(problem.free_vector(values))[:, None])
-    compared = band.compared(rows[: len(band.observations)], problem.model)
-    return np.concatenate(compared)[:, 0]
+    return np.concatenate(band.residuals(problem, problem.free_vector(values)))[:, 0]
 
 
 class _Left:

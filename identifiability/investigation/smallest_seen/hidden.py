@@ -229,9 +229,7 @@ class Hidden:
         return self._compared(self._problems[0], self._without.x)
 
     def _compared(self, problem: Problem, x: np.ndarray) -> list[np.ndarray]:
-        band = self._evaluator.band
-        rows = problem.by_observation(problem.residuals(x)[:, None])
-        return [one[:, 0] for one in band.compared(rows, problem.model)]
+        return [one[:, 0] for one in self._evaluator.band.residuals(problem, x)]
 
     def _trace(self, values: Mapping[str, float]) -> tuple[Problem, np.ndarray] | None:
         """Problem of the model with it, in steps that are short enough, and what it changes.
