@@ -195,6 +195,7 @@ class Evaluator:
         least: float = -np.inf,
         resolved: bool = True,
         nested: Evaluated | None = None,
+        begun: Evaluated | None = None,
     ) -> Evaluated:
         """Fit a model and its noise in turn, and take its evidence.
 
@@ -216,6 +217,8 @@ class Evaluator:
         nested : Evaluated, optional
             A model that this one is more than. Where its likelihood is higher, an optimum was
             missed, and the fit goes on from there.
+        begun : Evaluated, optional
+            Where `roughly` ended, to go on from instead of the starts.
 
         Raises
         ------
@@ -227,11 +230,10 @@ class Evaluator:
         )
         also = noise.contenders[:1] if noise is not None else ()
 
-        def settled(begun: tuple[np.ndarray, Weights]) -> Evaluated:
-            return self.settled(problem, *begun, refined, least, also)
+        def settled(start: tuple[np.ndarray, Weights]) -> Evaluated:
+            return self.settled(problem, *start, refined, least, also)
 
-        begun = self._begun(problem, starts, refined, noise, resolved)
-        best = best_of(settled, list(begun))
+        best = best_of(settled, list(self._begun(problem, starts, refined, noise, resolved, begun)))
         if nested is not None and best.log_likelihood < nested.log_likelihood - _MISSED:
             point = problem.free_vector(nested_values(model, nested.values))
             start = inside(problem, point[None])
@@ -261,11 +263,15 @@ class Evaluator:
         refined: Sequence[str],
         noise: Weights | None,
         resolved: bool,
+        begun: Evaluated | None = None,
     ) -> Iterator[tuple[np.ndarray, Weights]]:
         """Points and noise to fit a model from: see `evaluate`."""
         own, white = self.starts
         # A single start that is to be resolved is where a fit of all samples ended.
-        if self.coarse is None or (resolved and len(starts) == 1):
+        if begun is None and not (resolved and len(starts) == 1):
+            scheme = problem.integration
+            begun = self.roughly(problem.model, starts, refined=refined, scheme=scheme, noise=noise)
+        if begun is None:
             beginnings = self._beginnings(problem, starts)
             noises = [noise or own, white]
             # Not to hang on the noise of the model that this one was made from.
@@ -274,8 +280,6 @@ class Evaluator:
             for weights in noises:
                 yield beginnings.best(weights, _carried(problem)), weights
             return
-        known = self.coarse.reference.adopted(noise or own)
-        begun = self.coarse._roughly(problem.model, starts, refined, problem.integration, known)
         points = inside(problem, problem.free_vector(begun.values)[None])
         # Not the noise of what is left there: more, and of another colour, than at the optimum.
         yield points, self.reference.adopted(begun.weights)
@@ -284,27 +288,34 @@ class Evaluator:
         points = np.array([problem.free_vector(values) for values in starts])
         return Beginnings.of(problem, self.band, inside(problem, points))
 
-    def _roughly(
+    def roughly(
         self,
         model: Model,
         starts: Sequence[Mapping[str, float]],
-        refined: Sequence[str],
-        scheme: Scheme,
-        noise: Weights,
-    ) -> Evaluated:
-        """About where a fit ends; arguments as for `evaluate`."""
-        problem = self.band.problem(
-            model, refined=refined, scheme=scheme, probes=self.reference.probes_of(model)
+        *,
+        refined: Sequence[str] = (),
+        scheme: Scheme | None = None,
+        noise: Weights | None = None,
+    ) -> Evaluated | None:
+        """About where a fit to a part of a long record ends; None where there is none.
+
+        Arguments as for `evaluate`.
+        """
+        fewer = self.coarse
+        if fewer is None:
+            return None
+        problem = fewer.band.problem(
+            model, refined=refined, scheme=scheme, probes=fewer.reference.probes_of(model)
         )
-        beginnings = self._beginnings(problem, starts)
+        beginnings = fewer._beginnings(problem, starts)
 
         def settled(weights: Weights) -> Evaluated:
             points = beginnings.best(weights, _carried(problem))
-            return self.settled(
+            return fewer.settled(
                 problem, points, weights, refined, rounds=1, most=1, further=EVALUATIONS
             )
 
-        return best_of(settled, (noise, self.white))
+        return best_of(settled, (fewer.reference.adopted(noise or self.starts[0]), fewer.white))
 
     @staticmethod
     def _finer(problem: Problem, found: Evaluated) -> Scheme | None:

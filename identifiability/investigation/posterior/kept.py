@@ -51,17 +51,14 @@ class Evaluations:
         least: float = -np.inf,
         resolved: bool = True,
         nested: Evaluated | None = None,
+        begun: Evaluated | None = None,
     ) -> Evaluated:
         """Evaluate a model, or take it up as it was found: see `Evaluator.evaluate`."""
-        path = None
-        if self.folder is not None:
-            start = None if noise is None else (noise.estimate.levels, noise.contenders)
-            within = None if nested is None else (nested.values, nested.log_likelihood)
-            how = (starts, refined, scheme, start, least, resolved, within)
-            path = self.folder / f"{_code()}-{question(self.identity, model, *how)}.npz"
-            stored = read_arrays(path)
-            if stored is not None:
-                return self._again(model, refined, stored)
+        within = None if nested is None else (nested.values, nested.log_likelihood)
+        path = self._path(model, starts, refined, scheme, _plain(noise), least, resolved, within)
+        stored = read_arrays(path) if path is not None else None
+        if stored is not None:
+            return _again(self.evaluator, model, refined, stored)
         found = self.evaluator.evaluate(
             model,
             starts,
@@ -71,25 +68,58 @@ class Evaluations:
             least=least,
             resolved=resolved,
             nested=nested,
+            begun=begun,
         )
         if path is not None:
             write_arrays(path, _stored(found))
         return found
 
-    def _again(
-        self, model: Model, refined: Sequence[str], stored: Mapping[str, np.ndarray]
-    ) -> Evaluated:
-        evaluator, plain = self.evaluator, json.loads(str(stored["evaluated"]))
-        problem = evaluator.band.problem(
-            model,
-            refined=refined,
-            scheme=Scheme(**plain["scheme"]),
-            probes=evaluator.reference.probes_of(model),
-        )
-        sought = [Contender(Order(*order), np.array(v, float)) for order, v in plain["sought"]]
-        raw = raw_residuals(problem, evaluator.band, stored["x"])[0]
-        weights = evaluator.reference.weights(raw, sought)
-        return evaluator.evaluated(problem, stored["x"], weights, refined, sought)
+    def roughly(
+        self,
+        model: Model,
+        starts: Sequence[Mapping[str, float]],
+        *,
+        refined: Sequence[str] = (),
+        noise: Weights | None = None,
+    ) -> Evaluated | None:
+        """Begin to fit a model, or take that up as it was found: see `Evaluator.roughly`."""
+        fewer = self.evaluator.coarse
+        if fewer is None:
+            return None
+        path = self._path(model, starts, refined, _plain(noise), "roughly")
+        stored = read_arrays(path) if path is not None else None
+        if stored is not None:
+            return _again(fewer, model, refined, stored)
+        found = self.evaluator.roughly(model, starts, refined=refined, noise=noise)
+        if path is not None and found is not None:
+            write_arrays(path, _stored(found))
+        return found
+
+    def _path(self, model: Model, *how: object) -> Path | None:
+        if self.folder is None:
+            return None
+        return self.folder / f"{_code()}-{question(self.identity, model, *how)}.npz"
+
+
+def _plain(noise: Weights | None) -> object:
+    """What tells one noise from another."""
+    return None if noise is None else (noise.estimate.levels, noise.contenders)
+
+
+def _again(
+    evaluator: Evaluator, model: Model, refined: Sequence[str], stored: Mapping[str, np.ndarray]
+) -> Evaluated:
+    plain = json.loads(str(stored["evaluated"]))
+    problem = evaluator.band.problem(
+        model,
+        refined=refined,
+        scheme=Scheme(**plain["scheme"]),
+        probes=evaluator.reference.probes_of(model),
+    )
+    sought = [Contender(Order(*order), np.array(v, float)) for order, v in plain["sought"]]
+    raw = raw_residuals(problem, evaluator.band, stored["x"])[0]
+    weights = evaluator.reference.weights(raw, sought)
+    return evaluator.evaluated(problem, stored["x"], weights, refined, sought)
 
 
 def _stored(found: Evaluated) -> dict[str, np.ndarray]:

@@ -142,7 +142,9 @@ class _Search:
         most = _SEEN if keys else len(more)
         seen = strongest(self.weighing.evaluator, current, more, alone, most)
         jobs = [enlarged(current, more[key](), alone.get(key, {})) for key in seen]
-        self.add(f"what may be added to {' + '.join(['K, B, I', *keys])}", jobs)
+        # Of single effects all: what each does alone is told, and where the others start from.
+        ready = self.weighing.in_reach(jobs) if keys else jobs
+        self.add(f"what may be added to {' + '.join(['K, B, I', *keys])}", ready)
         self._decide(len(keys) + 1)
 
     def _decide(self, size: int) -> None:
@@ -196,8 +198,11 @@ class _Search:
             jobs: dict[Keys, Job] = {}
             for keys in close:
                 jobs |= self._exchanges(keys)
-            self.add("look-alikes", list(jobs.values()))
-            for size in sorted({len(keys) for keys in jobs}):
+            sizes = sorted({len(keys) for keys in jobs})
+            for size in sizes:
+                of_size = [job for keys, job in jobs.items() if len(keys) == size]
+                self.add("look-alikes", self.weighing.in_reach(of_size))
+            for size in sizes:
                 before = self.best(size)
                 self._decide(size)
                 self._go_on(size, before, most)
@@ -217,6 +222,8 @@ class _Search:
             for other in self.library[key].confused_with:
                 others = tuple(sorted({*keys, other} - {key}))
                 if other not in self.library or other in keys or others in found:
+                    continue
+                if others in self.weighing.screened:
                     continue
                 if rest.takes(self.library[other]):
                     alone = found[other,].values if (other,) in found else {}

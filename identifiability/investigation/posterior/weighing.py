@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from math import comb, log
 from typing import TypeVar
 
@@ -37,6 +37,7 @@ from identifiability.investigation.rules import Rules
 from identifiability.joint.effects import DESCRIPTIONS
 from identifiability.joint.model import Model
 from identifiability.joint.programs import THREADS
+from identifiability.joint.scheme import Scheme
 from identifiability.progress import Progress, silent
 
 Keys = tuple[str, ...]
@@ -56,6 +57,9 @@ _OUT_OF_REACH = 20.0
 """Nats that a description is behind the best set by a part of a long record's samples, from which
 all of them do not make up for it: four times as many make it four times as much worse, give or take
 twice the root of that."""
+_UNSETTLED = 40.0
+"""The same of a fit to that part that is only begun."""
+_RICHER = 0.5  # share of what the best of its size gained, that a richer form of it may gain
 _MENDERS = 4
 """Effects that may mend the equations of any other: with so many a set and the same with one effect
 more, which does no more than that, are as probable as each other. In blind cases the larger set was
@@ -77,7 +81,9 @@ class Job:
     noise : Weights or None
         Noise to start from.
     nested : Evaluated or None
-        The model that this one is more than; its noise is started from as well.
+        The model that this one is more than; its noise is started from instead.
+    begun : Evaluated or None
+        The fit to a part of a long record, where it was begun.
     """
 
     model: Model
@@ -85,6 +91,12 @@ class Job:
     refined: Sequence[str] = ()
     noise: Weights | None = None
     nested: Evaluated | None = None
+    begun: Evaluated | None = None
+
+    @property
+    def begins_in(self) -> Weights | None:
+        """Noise that its fit starts from."""
+        return self.noise if self.nested is None else self.nested.weights
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,6 +144,8 @@ class Weighing:
         Those that were evaluated to the end.
     described : dict of tuple of str to dict
         By the known effects beside it, each description that was evaluated, by its key.
+    screened : dict of tuple of str to float
+        Sets that a part of a long record's samples left far behind, and by how many nats.
     failures : dict of str to str
     """
 
@@ -144,8 +158,10 @@ class Weighing:
     found: dict[Keys, Evaluated] = field(default_factory=dict)
     taken_up: dict[Keys, Evaluated] = field(default_factory=dict)
     described: dict[Keys, dict[str, Evaluated]] = field(default_factory=dict)
+    screened: dict[Keys, float] = field(default_factory=dict)
     failures: dict[str, str] = field(default_factory=dict)
     _out_of_reach: set[tuple[Keys, str]] = field(default_factory=set)
+    _part: dict[Evaluated, float] = field(default_factory=dict)
 
     @property
     def _evaluations(self) -> Evaluations:
@@ -164,18 +180,57 @@ class Weighing:
                 job.model,
                 job.starts,
                 refined=job.refined,
-                noise=job.nested.weights if job.nested is not None else job.noise,
+                noise=job.begins_in,
                 least=best - LOST,
                 resolved=False,
                 nested=job.nested,
+                begun=job.begun,
             )
 
         for job, found in zip(jobs, _side_by_side(evaluated, jobs), strict=True):
             self._keep(job.model, found)
             yield
 
+    def in_reach(self, jobs: Sequence[Job]) -> list[Job]:
+        """Of models with as many effects those that a part of a long record does not exclude.
+
+        What is far behind the best there, or behind what its richer form could make up for, all
+        the samples put further behind.
+        """
+        if self.evaluator.coarse is None or not jobs:
+            return list(jobs)
+
+        def begun(job: Job) -> Job:
+            found = self._evaluations.roughly(
+                job.model, job.starts, refined=job.refined, noise=job.begins_in
+            )
+            return replace(job, begun=found)
+
+        size = len(self._keys(jobs[0].model))
+        best, fewer = self._best_by_part(size), self._best_by_part(size - 1)
+        ready: list[tuple[Job, Evaluated]] = []
+        for i, (job, one) in enumerate(zip(jobs, _side_by_side(begun, jobs), strict=True)):
+            self.progress("beginning by a part of the samples", i + 1, len(jobs))
+            if isinstance(one, str):
+                self.failures["+".join(self._keys(job.model))] = one
+            elif one.begun is not None:
+                ready.append((one, one.begun))
+        best = max([best, *(found.log_evidence for _, found in ready)])
+        kept = []
+        for job, found in ready:
+            behind = best - found.log_evidence
+            more = set(job.model.refinable(job.model.effect_keys)) - set(job.refined)
+            if behind > _UNSETTLED + (_RICHER * (best - fewer) if more else 0.0):
+                self.screened[self._keys(job.model)] = behind
+            else:
+                kept.append(job)
+        return kept
+
+    def _keys(self, model: Model) -> Keys:
+        return tuple(sorted(k for k in model.effect_keys if k not in self.base))
+
     def _keep(self, model: Model, found: Evaluated | str) -> None:
-        keys = tuple(sorted(k for k in model.effect_keys if k not in self.base))
+        keys = self._keys(model)
         if isinstance(found, str):
             self.failures["+".join(keys)] = found
             return
@@ -217,7 +272,8 @@ class Weighing:
         def evaluated(keys: Keys) -> Evaluated:
             known = self.found[keys]
             # In another noise than that in which it was the better, a richer form may not be.
-            forms = (known.refined, ()) if known.refined else ((),)
+            plainly = known.refined and self._comes_near_plainly(known)
+            forms = (known.refined, ()) if plainly else (known.refined,)
             return best_of(
                 lambda refined: self._evaluations.evaluate(
                     known.model,
@@ -344,7 +400,7 @@ class Weighing:
         if not jobs:
             return
 
-        least = self._by_fewer(self.found[ranked[0]]) - _OUT_OF_REACH
+        least = self._by_part(self.found[ranked[0]]) - _OUT_OF_REACH
 
         def evaluated(job: tuple[Description, Keys]) -> Evaluated | None:
             (one, keys), fewer = job, self.evaluator.coarse
@@ -369,21 +425,39 @@ class Weighing:
             else:
                 known[key] = found
 
-    def _by_fewer(self, found: Evaluated) -> float:
+    def _best_by_part(self, size: int) -> float:
+        """Log evidence [nats] of the best set of a size by a part of a long record's samples."""
+        sets = [found for keys, found in self.found.items() if len(keys) == size]
+        best = max(sets, key=lambda found: found.log_evidence, default=None)
+        return -np.inf if best is None else self._by_part(best)
+
+    def _by_part(self, found: Evaluated) -> float:
         """Log evidence [nats] of a set by a part of a long record's samples; of others none."""
+        if found not in self._part:
+            form = found.model, [found.values], found.refined
+            one = self._evaluated_by_part(*form, found.scheme)
+            self._part[found] = -np.inf if one is None else one.log_evidence
+        return self._part[found]
+
+    def _comes_near_plainly(self, found: Evaluated) -> bool:
+        """Whether a part of a long record does not exclude a set in plain form; True of others."""
+        plain = self._evaluated_by_part(found.model, [found.values], (), found.scheme)
+        return plain is None or plain.log_evidence > self._by_part(found) - _OUT_OF_REACH
+
+    def _evaluated_by_part(
+        self,
+        model: Model,
+        starts: Sequence[Mapping[str, float]],
+        refined: Sequence[str],
+        scheme: Scheme | None = None,
+    ) -> Evaluated | None:
         fewer = self.evaluator.coarse
         if fewer is None:
-            return -np.inf
+            return None
         try:
-            return fewer.evaluate(
-                found.model,
-                [found.values],
-                refined=found.refined,
-                scheme=found.scheme,
-                resolved=False,
-            ).log_evidence
+            return fewer.evaluate(model, starts, refined=refined, scheme=scheme, resolved=False)
         except (ValueError, ArithmeticError, np.linalg.LinAlgError):
-            return -np.inf
+            return None
 
     def _near(self) -> list[Keys]:
         """Sets that come near the best, and the best of every size."""
