@@ -250,7 +250,10 @@ class Evaluator:
                 found = self.settled(problem, start, nested.weights, refined, rounds=1, further=0)
             best = max(best, found, key=lambda one: one.log_evidence)
         while resolved and (finer := self._finer(problem, best)) is not None:
-            problem = problem.with_scheme(finer)
+            # As fine as it takes there at once: a fit in steps that do not do would be lost.
+            while finer is not None:
+                problem = problem.with_scheme(finer)
+                finer = None if finer.finest else self._finer(problem, best)
             best = self.settled(problem, best.x[None], best.weights, refined, least, further=0)
         if not best.weights.estimate.rms < _DIVERGED * self.band.scale:
             raise InputError("the best response found is not finite")
