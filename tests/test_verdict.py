@@ -1,6 +1,7 @@
 """Verdicts on constructed findings: what may be said, and no more."""
 
 from dataclasses import replace
+from math import log
 from types import SimpleNamespace
 
 import pytest
@@ -11,6 +12,7 @@ from identifiability.investigation.findings import Findings
 from identifiability.investigation.ladder.climb import found_of
 from identifiability.investigation.ladder.errors import removed_share
 from identifiability.investigation.ladder.found import Found, Missing, Tried
+from identifiability.investigation.models import fitted_models
 from identifiability.investigation.posterior.claim import claim_of
 from identifiability.investigation.posterior.discrepancy import Discrepant
 from identifiability.investigation.rules import Rules
@@ -348,3 +350,45 @@ def test_a_clue_that_no_error_falls_by_is_no_rung(left, expected, split):
     verdict = judge(split, posterior, claim, found, left_over("static"), (), EFFECTS)
     (there,) = [r for r in verdict.reasons if r.kind == "whatever else"]
     assert set(there.effects) == set(expected)
+
+
+@pytest.mark.parametrize(
+    ("rows", "nearest"),
+    [
+        ([(None, 1 - 1e-6), (("gravity",), 1e-6), ((), 1e-9)], ("gravity",)),
+        # Nothing is more than a known effect there, or something is named.
+        ([(None, 1 - 1e-6), ((), 1e-6), (("gravity",), 1e-9)], None),
+        ([(("gravity",), 0.99), (None, 0.01)], None),
+    ],
+)
+def test_where_nothing_is_named_the_nearest_of_what_is_known_is_shown(rows, nearest, split):
+    """The user sees how far it goes, and how much more probable a torque of any form is."""
+    posterior = probabilities(*rows)
+    fitted = {(): candidate(BEFORE), ("gravity",): candidate(0.004, "gravity")}
+    sets = {k: replace(s, candidate=fitted[k]) for k, s in posterior.sets.items()}
+    posterior = replace(posterior, sets=sets)
+    claim = claim_of(posterior, EFFECTS, RULES.claimed)
+    bench = SimpleNamespace(split=split, rules=RULES, finish=lambda candidate: candidate)
+    found = found_of(bench, fitted[()], posterior, claim, EFFECTS)
+    rest = left_over("static")
+    judged = judge(split, posterior, claim, found, rest, (), EFFECTS)
+    whole = Findings(
+        *(split, found, None, None, None, rest, None, judged, None, EFFECTS, {}, (), 1, posterior)
+    )
+    said = reason(whole, "nearest known")
+    roles = [one.role for one in fitted_models(whole)]
+    if nearest is None:
+        assert (found.nearest, said) == (None, None)
+        assert "nearest" not in roles
+        return
+    assert found.final is found.baseline
+    assert judged.sets == ()
+    assert found.nearest.keys == said.effects == nearest
+    assert roles == ["baseline", "nearest"]
+    assert said.numbers == pytest.approx(
+        {"behind": log(1e6), "after": 0.004, "held_out_after": 0.004}, rel=1e-5
+    )
+    words = in_words(whole)
+    assert "Of what is known gravity comes nearest: with it E is 0.004 on the fitted" in words
+    assert "10⁶ times more probable, so that nothing is named" in words
+    assert "Do not quote K" in consequence_sentence(whole)

@@ -9,7 +9,7 @@ from typing import Literal
 from identifiability.investigation.findings import Findings
 from identifiability.investigation.fits.candidate import Candidate
 
-Role = Literal["baseline", "step", "final", "instead"]
+Role = Literal["baseline", "step", "final", "instead", "nearest"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,11 +18,13 @@ class FittedModel:
 
     Attributes
     ----------
-    role : {"baseline", "step", "final", "instead"}
+    role : {"baseline", "step", "final", "instead", "nearest"}
         The model that was doubted; one effect more; all that is claimed; that with an effect in
-        another's place which the data do not tell from it.
+        another's place which the data do not tell from it; what known effects make of it where
+        something unknown is missing and none of them is claimed.
     added : str
-        Effect by which it differs from the model above it; empty for the baseline.
+        Effect by which it differs from the model above it; empty for the baseline, and where there
+        are several.
     replaced : str
         Effect in whose place that is; empty where it comes besides.
     candidate : Candidate
@@ -40,6 +42,8 @@ class FittedModel:
 
 def fitted_models(findings: Findings) -> tuple[FittedModel, ...]:
     """The baseline, the model with each effect added, and those with others in their place.
+
+    Where something unknown is missing, and nothing is added, what comes nearest.
 
     Parameters
     ----------
@@ -68,7 +72,12 @@ def fitted_models(findings: Findings) -> tuple[FittedModel, ...]:
         for missing in found.missing
         for one in missing.instead
     ]
-    return (baseline, *steps, *instead)
+    nearest = [
+        FittedModel("nearest", "", "", one, _sds(findings, one))
+        for one in (found.nearest,)
+        if one is not None
+    ]
+    return (baseline, *steps, *instead, *nearest)
 
 
 def _sds(findings: Findings, candidate: Candidate) -> dict[str, float]:

@@ -6,11 +6,19 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from identifiability.benchmark.real import REAL, RealRecording
-from identifiability.investigation.wording.verdict import TITLES, percent, plain, set_in_words
+from identifiability.investigation.wording.verdict import (
+    TITLES,
+    model_in_words,
+    percent,
+    plain,
+    set_in_words,
+)
 from identifiability.joint.parameters import plus_minus
 from identifiability.provenance import made_by
 from identifiability.report.across import across_sections
 from identifiability.report.markdown import table
+
+_ASIDE = ("instead", "nearest")  # models that are no step on the way to what is claimed
 
 
 def recordings_list(states: Mapping[str, str] | None = None) -> str:
@@ -62,7 +70,8 @@ def recordings_page(
 def _row(one: RealRecording, record: Mapping[str, Any]) -> list[str]:
     if "failure" in record:
         return [one.title, one.known_for, f"failed: {record['failure']}", "", ""]
-    vaf = [_vaf(model) for model in record["models"] if model["role"] != "instead"]
+    vaf = [_vaf(model) for model in record["models"] if model["role"] not in _ASIDE]
+    nearest = [_vaf(model) for model in record["models"] if model["role"] == "nearest"]
     most = record["posterior"][0] if record["posterior"] else None
     probable = (
         "" if most is None else f"{set_in_words(most['effects'])}, {percent(most['probability'])}"
@@ -72,7 +81,9 @@ def _row(one: RealRecording, record: Mapping[str, Any]) -> list[str]:
         one.known_for,
         TITLES[record["verdict"]["kind"]],
         probable,
-        " → ".join(dict.fromkeys((vaf[0], vaf[-1]))) + " %",
+        " → ".join(dict.fromkeys((vaf[0], vaf[-1])))
+        + " %"
+        + "".join(f" (nearest known {one} %)" for one in nearest),
     ]
 
 
@@ -107,11 +118,16 @@ def _section(one: RealRecording, record: Mapping[str, Any]) -> list[str]:
 
 def _model(model: Mapping[str, Any]) -> list[str]:
     values, sds, added = model["parameters"], model["sd"], model["added"]
-    names = {"baseline": "K, B, I", "instead": f"{plain(added)} in its place"}
+    names = {
+        "baseline": "K, B, I",
+        "instead": f"{plain(added)} in its place",
+        "nearest": f"nearest known: {model_in_words(model['effects'])}",
+    }
+    nearest = model["role"] == "nearest"
     own = ", ".join(
-        f"{plain(name.split('.')[1])} {plus_minus(value, sds.get(name))}"
+        f"{plain(name if nearest else name.split('.')[1])} {plus_minus(value, sds.get(name))}"
         for name, value in values.items()
-        if added and name.startswith(f"{added}.")
+        if (nearest and "." in name) or (added and name.startswith(f"{added}."))
     )
     return [
         names.get(model["role"], f"+ {plain(added)}"),

@@ -55,7 +55,9 @@ def found_of(
     alone, n = climb.alone(), len(posterior.sets)
     if final.failure:
         return Found(baseline, alone, baseline, (), None, n, final.failure)
-    return Found(baseline, alone, final, missing, removed_share(bench.split, baseline, final), n)
+    share = removed_share(bench.split, baseline, final)
+    nearest = climb.nearest() if not missing else None
+    return Found(baseline, alone, final, missing, share, n, nearest=nearest)
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,6 +102,17 @@ class _Climb:
             keys = tuple(key for key in keys if key != missing[-1].key)
             final, missing = self._ladder(keys)
         return final, missing
+
+    def nearest(self) -> Candidate | None:
+        """Beside something unknown, the most probable model with known effects and no more."""
+        if self.claim.kind != "unknown":
+            return None
+        named = (row.effects for row in self.posterior.rows if row.effects is not None)
+        keys = next(named, ())
+        if not keys or keys not in self.posterior.sets:
+            return None
+        fitted = self.bench.finish(self.posterior.sets[keys].candidate)
+        return None if fitted.failure else fitted
 
     def _explains_nothing(self, last: Missing) -> bool:
         """Whether a clue at the end of the ladder has nothing to show for itself.

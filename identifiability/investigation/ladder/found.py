@@ -114,6 +114,9 @@ class Found:
         Number of sets of effects that were weighed.
     failure : str
         Why the model that is claimed could not be fitted; then the final one is the baseline.
+    nearest : Candidate or None
+        The most probable model with known effects, where something unknown is missing and the final
+        model is the baseline: for that it is not probable enough.
     """
 
     baseline: Candidate
@@ -123,6 +126,7 @@ class Found:
     share: float | None
     n_weighed: int
     failure: str = ""
+    nearest: Candidate | None = None
 
     @property
     def ladder(self) -> tuple[Candidate, ...]:

@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, get_args
 
+import numpy as np
+
 from identifiability.investigation.fits.candidate import Candidate
 from identifiability.investigation.ladder.found import Found, Missing
 from identifiability.investigation.posterior.claim import Claim, same_form
@@ -19,6 +21,7 @@ from identifiability.joint.effects import Effect
 
 _NONE = 1e-6  # share of its usual value that is no stiffness or damping at all
 _SHARE = 0.2  # of what differs between trials, from which one torque for all is spoken of
+_LEAST = 1e-300  # of a probability that is divided by
 _LISTED = 3  # sets whose probabilities are said
 
 Kind = Literal[
@@ -148,6 +151,8 @@ def judge(
     if claim.kind == "unknown" and posterior.description is not None:
         reasons.append(Reason("nearest form", (posterior.description,)))
     reasons.append(_errors(split, found))
+    if found.nearest is not None:
+        reasons.append(_nearest(found.nearest, found.baseline, posterior))
     if nested is not None and claim.kind == "effects":
         reasons.append(_without_held_out(claim, nested, split))
     reasons += _in_turn(found)
@@ -212,6 +217,16 @@ def _errors(split: Split, found: Found) -> Reason:
     if floor is not None:
         numbers["floor"] = floor
     return Reason("errors", (), numbers)
+
+
+def _nearest(nearest: Candidate, baseline: Candidate, posterior: Probabilities) -> Reason:
+    """How near known effects come to something unknown."""
+    keys = tuple(sorted(set(nearest.keys) - set(baseline.keys)))
+    odds = posterior.none_of_these / max(posterior.of(keys), _LEAST)
+    numbers = {"behind": float(np.log(odds)), "after": nearest.fitted.error}
+    if nearest.held_out.by_trial:
+        numbers["held_out_after"] = nearest.held_out.error
+    return Reason("nearest known", keys, numbers)
 
 
 def _without_held_out(claim: Claim, nested: Probabilities, split: Split) -> Reason:

@@ -16,6 +16,7 @@ ReasonKind = Literal[
     "clue",
     "instead of the clue",
     "nearest form",
+    "nearest known",
     "errors",
     "chosen alike",
     "chosen with",
@@ -54,6 +55,8 @@ class Reason:
         - instead of the clue: what may be in its place, each with its probability: that one of them
           is there is likely, and of no one it is;
         - nearest form: the description of no mechanism that something unknown is most like;
+        - nearest known: the effects of the most probable model that has nothing unknown, how many
+          nats it is ``behind``, and its E, as of errors;
         - errors: E ``before`` and ``after`` on the fitted, ``held_out_before`` and
           ``held_out_after`` on the held-out trials, ``floor`` of the noise;
         - chosen alike, chosen with: without the held-out trials what is claimed has this

@@ -20,12 +20,12 @@ def value_in_words(one: FittedModel, name: str, *, unit: bool = True) -> str:
 
 
 def own_values_in_words(one: FittedModel) -> str:
-    """Parameters of the effect by which a model differs from the one above it."""
-    own = f"{one.added}."
+    """Parameters of the effect by which a model differs from the one above it, or of all."""
+    own = f"{one.added}." if one.added else ""
     return ", ".join(
         f"{plain(name.removeprefix(own))} {value_in_words(one, name)}"
         for name in one.candidate.free
-        if one.added and name.startswith(own)
+        if (name.startswith(own) if own else one.role == "nearest" and "." in name)
     )
 
 
@@ -40,4 +40,6 @@ def name_in_words(one: FittedModel) -> str:
         return model_in_words(one.candidate.keys)
     if one.role == "instead":
         return f"or {plain(one.added)} in its place"
+    if one.role == "nearest":
+        return f"nearest known: {model_in_words(one.candidate.keys)}"
     return f"+ {plain(one.added)}"

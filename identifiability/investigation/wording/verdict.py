@@ -198,6 +198,7 @@ def _reason(reason: Reason, findings: Findings) -> str:
         "clue": _clue,
         "instead of the clue": _instead_of_clue,
         "nearest form": _nearest_form,
+        "nearest known": _nearest_known,
         "errors": _errors,
         "chosen alike": _chosen_alike,
         "chosen with": _chosen_with,
@@ -271,6 +272,19 @@ def _instead_of_clue(reason: Reason, findings: Findings) -> str:
 def _nearest_form(reason: Reason, findings: Findings) -> str:
     nearest = DESCRIPTIONS[reason.effects[0]].title
     return f"In form it comes nearest to {nearest}, which names no mechanism."
+
+
+def _nearest_known(reason: Reason, findings: Findings) -> str:
+    e, held = reason.numbers, ""
+    names = listed([plain(key) for key in reason.effects])
+    come, it = ("comes", "it") if len(reason.effects) == 1 else ("come", "them")
+    if "held_out_after" in e:
+        held = f" and {error_text(e['held_out_after'])} on the held-out trials"
+    return (
+        f"Of what is known {names} {come} nearest: with {it} E is {error_text(e['after'])} on the "
+        f"fitted{held}. A torque of any form makes the trials {times(e['behind'])} times more "
+        "probable, so that nothing is named."
+    )
 
 
 def _not_exact(reason: Reason, findings: Findings) -> str:
