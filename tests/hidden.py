@@ -93,14 +93,15 @@ LONG = {
 _SECONDS = {"torque": 18, "angle": 48}  # of an angle fewer samples a second are compared
 
 
-def long_record(driven, smoothing=(81, 41)):
+def long_record(driven, smoothing=(81, 41), more=None):
     """A record of random steps, in many pieces, and the model that it was made with.
 
-    The steps of an imposed angle are smoothed by windows of so many samples.
+    The steps of an imposed angle are smoothed by windows of so many samples. `more` are values of
+    effects that are there as well.
     """
     time = np.arange(1000 * _SECONDS[driven]) / 1000
-    key = next(iter(LONG[driven])).split(".")[0]
-    model = KBI() + EFFECTS[key]()
+    values = LONG[driven] | (more or {})
+    model = KBI().plus(EFFECTS[key]() for key in dict.fromkeys(n.split(".")[0] for n in values))
     rng = np.random.default_rng(5)
     steps = np.repeat(rng.uniform(-1, 1, time.size // 150), 150)
     if driven == "torque":
@@ -111,7 +112,7 @@ def long_record(driven, smoothing=(81, 41)):
         for n in smoothing:
             given = np.convolve(given, np.hanning(n) / np.hanning(n).sum(), mode="same")
         drive = imposed_motion(time, given)
-    response = simulate(model, model.vector(JOINT | LONG[driven]), drive)
+    response = simulate(model, model.vector(JOINT | values), drive)
     noisy = response + 1e-3 * np.std(response) * rng.standard_normal(time.size)
     pair = (given, noisy) if driven == "torque" else (noisy, given)
     return Trial(time, *pair, driven=driven, name="long"), model

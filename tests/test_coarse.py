@@ -9,8 +9,10 @@ from hidden import JOINT, LONG, long_record
 from identifiability.inference.starts import starting_values
 from identifiability.investigation.posterior import band
 from identifiability.investigation.posterior.band import band_of
+from identifiability.investigation.posterior.jobs import enlarged
 from identifiability.investigation.posterior.reference import evaluator_of
 from identifiability.investigation.posterior.signatures import strongest
+from identifiability.investigation.posterior.weighing import LOST, Job, Weighing
 from identifiability.joint.effects import EFFECTS
 from identifiability.joint.model import KBI
 
@@ -83,3 +85,31 @@ def test_a_few_pieces_tell_how_much_noise_a_model_makes_of_an_angle(monkeypatch)
     assert one.log_evidence == pytest.approx(other.log_evidence, abs=0.5)
     for name, sd in other.sds.items():
         assert abs(one.values[name] - other.values[name]) < 0.2 * sd
+
+
+@pytest.mark.parametrize("driven", ["torque", "angle"])
+def test_sets_that_a_part_of_the_samples_excludes_are_far_behind_by_all(driven):
+    """Beside what is known the sensor is late; a low-pass is like it, the others are not."""
+    trial, model = long_record(driven, (21, 11), {"sensor_delay.delay": 0.004})
+    evaluator = evaluator_of(band_of([trial], []), JOINT)
+    first = next(key for key in model.effect_keys if key != "sensor_delay")
+    weighing = Weighing(evaluator, EFFECTS)
+    list(weighing.weigh([Job(KBI(), [JOINT])]))
+    list(weighing.weigh([enlarged(weighing.found[()], EFFECTS[first](), {})]))
+    current = weighing.found[first,]
+    tried = ("sensor_delay", "sensor_lowpass", "gravity", "coulomb_friction", "cubic_stiffness")
+    tried = [key for key in tried if key != first]
+    jobs = [enlarged(current, EFFECTS[key](), {}) for key in tried]
+    kept = [key for job in weighing.in_reach(jobs) for key in job.model.effect_keys if key != first]
+    assert kept[0] == "sensor_delay"
+    assert set(kept) <= {"sensor_delay", "sensor_lowpass"}
+    assert {key for keys in weighing.screened for key in keys} == {first, *tried} - set(kept)
+    list(weighing.weigh(jobs))
+    best = max(found.log_evidence for found in weighing.found.values())
+    for keys in weighing.screened:
+        assert best - weighing.found[keys].log_evidence > LOST
+    # Nothing is excluded where all samples are few, nor before a better one was begun.
+    short = Weighing(replace(evaluator, coarse=None), EFFECTS, found=dict(weighing.found))
+    assert short.in_reach(jobs) == jobs
+    alone = Weighing(evaluator, EFFECTS, found={(): weighing.found[()]})
+    assert len(alone.in_reach(jobs[2:3])) == 1
