@@ -320,6 +320,15 @@ class Evaluator:
 
         return best_of(settled, (fewer.reference.adopted(noise or self.starts[0]), fewer.white))
 
+    def as_it_is(self, found: Evaluated) -> Evaluated:
+        """A model and its noise as another part of the same trials found them, by this one."""
+        probes = self.reference.probes_of(found.model)
+        problem = self.band.problem(
+            found.model, refined=found.refined, scheme=found.scheme, probes=probes
+        )
+        weights = self.reference.adopted(found.weights)
+        return self.evaluated(problem, found.x, weights, found.refined)
+
     @staticmethod
     def _finer(problem: Problem, found: Evaluated) -> Scheme | None:
         """Finer steps, where a model's own are too long to tell it from others.

@@ -52,7 +52,7 @@ def strongest(
         return list(effects)
     if evaluator.coarse is not None:
         # A part of a long record shows as well whose signature is the strongest.
-        found, evaluator = _by_fewer(evaluator.coarse, found), evaluator.coarse
+        found, evaluator = evaluator.coarse.as_it_is(found), evaluator.coarse
     plain: dict[Scheme, np.ndarray] = {}
     changes = {}
     for key, effect in effects.items():
@@ -76,12 +76,6 @@ def strongest(
         scores = {key: max(map(left.removed, mine)) for key, mine in changes.items()}
         kept |= set(sorted(scores, key=lambda key: -scores[key])[:n])
     return [key for key in effects if key in kept]
-
-
-def _by_fewer(fewer: Evaluator, found: Evaluated) -> Evaluated:
-    """A model as it is, and its noise, by fewer samples of the same trials."""
-    problem = _problem(fewer, found.model, found)
-    return fewer.evaluated(problem, found.x, fewer.reference.adopted(found.weights), found.refined)
 
 
 def _problem(evaluator: Evaluator, model: Model, found: Evaluated) -> Problem:

@@ -37,7 +37,6 @@ from identifiability.investigation.rules import Rules
 from identifiability.joint.effects import DESCRIPTIONS
 from identifiability.joint.model import Model
 from identifiability.joint.programs import THREADS
-from identifiability.joint.scheme import Scheme
 from identifiability.progress import Progress, silent
 
 Keys = tuple[str, ...]
@@ -432,32 +431,26 @@ class Weighing:
         return -np.inf if best is None else self._by_part(best)
 
     def _by_part(self, found: Evaluated) -> float:
-        """Log evidence [nats] of a set by a part of a long record's samples; of others none."""
+        """Log evidence [nats] of a set as it is by a part of a long record; of others none."""
+        fewer = self.evaluator.coarse
+        if fewer is None:
+            return -np.inf
         if found not in self._part:
-            form = found.model, [found.values], found.refined
-            one = self._evaluated_by_part(*form, found.scheme)
-            self._part[found] = -np.inf if one is None else one.log_evidence
+            try:
+                self._part[found] = fewer.as_it_is(found).log_evidence
+            except (ValueError, ArithmeticError, np.linalg.LinAlgError):
+                self._part[found] = -np.inf
         return self._part[found]
 
     def _comes_near_plainly(self, found: Evaluated) -> bool:
         """Whether a part of a long record does not exclude a set in plain form; True of others."""
-        plain = self._evaluated_by_part(found.model, [found.values], (), found.scheme)
-        return plain is None or plain.log_evidence > self._by_part(found) - _OUT_OF_REACH
-
-    def _evaluated_by_part(
-        self,
-        model: Model,
-        starts: Sequence[Mapping[str, float]],
-        refined: Sequence[str],
-        scheme: Scheme | None = None,
-    ) -> Evaluated | None:
-        fewer = self.evaluator.coarse
-        if fewer is None:
-            return None
         try:
-            return fewer.evaluate(model, starts, refined=refined, scheme=scheme, resolved=False)
+            plain = self.evaluator.roughly(
+                found.model, [found.values], scheme=found.scheme, noise=found.weights
+            )
         except (ValueError, ArithmeticError, np.linalg.LinAlgError):
-            return None
+            return True
+        return plain is None or plain.log_evidence > self._by_part(found) - _UNSETTLED
 
     def _near(self) -> list[Keys]:
         """Sets that come near the best, and the best of every size."""
