@@ -33,6 +33,7 @@ _MAINLY = {
     "variation": "behaves like stiffness and damping that change from trial to trial",
     "varying": "behaves like stiffness and damping that change during the trials",
 }
+_SHORTEST = 2e-3  # s, of a time constant that is told from none
 _ONE_WAY = {
     "memory_positive": ", and to motion in the positive direction only",
     "memory_negative": ", and to motion in the negative direction only",
@@ -67,4 +68,7 @@ def _pace(rest: Unexplained) -> str:
         return ""
     if rest.latency is not None:
         return f", with a latency of about {1000 * rest.latency:.0f} ms"
-    return f", and fades with a time constant of about {1000 * rest.delay_readout.decay:.0f} ms"
+    decay = rest.delay_readout.decay
+    if decay < _SHORTEST:
+        return ", and fades within a few milliseconds"
+    return f", and fades with a time constant of about {1000 * decay:.0f} ms"
