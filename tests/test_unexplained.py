@@ -1,5 +1,7 @@
 """What is left, by kind: noise, sensor, drift, static, memory, unrepeatable."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -11,6 +13,7 @@ from identifiability.investigation.unexplained.account import Unexplained, unexp
 from identifiability.investigation.unexplained.explanation import Family
 from identifiability.investigation.unexplained.readouts import DelayReadout
 from identifiability.investigation.wording.describe import describe
+from identifiability.investigation.wording.unexplained import unexplained_sentence
 from identifiability.joint.effects import EFFECTS
 from identifiability.joint.model import KBI
 from identifiability.joint.response import simulate
@@ -108,6 +111,16 @@ def test_a_kind_is_decided_by_the_rules_margin():
     assert account(margin=5.0).decided
     assert not account(margin=4.9).decided
     assert not account(margin=5.0, decisive_kind=6.0).decided
+
+
+@pytest.mark.parametrize(
+    ("decay", "said"),
+    [(0.0, "within a few milliseconds"), (0.03, "with a time constant of about 30 ms")],
+)
+def test_what_fades_quicker_than_can_be_told_has_no_time_constant(decay, said):
+    readout = DelayReadout(0.0, 0.001, decay, 0.001, 0.0)
+    rest = replace(account(), delay_readout=readout)
+    assert f"and fades {said}" in unexplained_sentence(rest)
 
 
 def test_a_latency_is_spoken_of_where_it_is_clear_and_long_enough():

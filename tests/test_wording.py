@@ -3,12 +3,9 @@
 from dataclasses import replace
 
 import pytest
-from constructed import left_over
 
 from identifiability.investigation.next_experiment import Design, Limits, NextExperiment
-from identifiability.investigation.unexplained.readouts import DelayReadout
 from identifiability.investigation.wording.certainty import in_words
-from identifiability.investigation.wording.unexplained import unexplained_sentence
 from identifiability.joint.parameters import plus_minus
 
 FOLLOWING = NextExperiment(
@@ -37,13 +34,3 @@ def test_what_a_fit_leaves_of_nothing_is_nothing():
     assert plus_minus(6.907e-31) == "0"
     assert plus_minus(-2e-13, 0.1) == "0.00 ± 0.10"
     assert plus_minus(6.6e-7) == "6.6e-07"
-
-
-@pytest.mark.parametrize(
-    ("decay", "said"),
-    [(0.0, "within a few milliseconds"), (0.03, "with a time constant of about 30 ms")],
-)
-def test_what_fades_quicker_than_can_be_told_has_no_time_constant(decay, said):
-    readout = DelayReadout(0.0, 0.001, decay, 0.001, 0.0)
-    sentence = unexplained_sentence(replace(left_over("memory"), delay_readout=readout))
-    assert f"and fades {said}" in sentence
