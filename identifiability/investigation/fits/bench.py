@@ -139,6 +139,7 @@ class Workbench:
         starts: Sequence[Mapping[str, float]],
         *,
         refined: Sequence[str] = (),
+        profiled: bool = True,
     ) -> Candidate:
         """Fit a model; a failure is recorded in the result, not raised.
 
@@ -149,11 +150,13 @@ class Workbench:
             Values of all parameters by name.
         refined : sequence of str
             Keys of the effects whose refining parameters are free too.
+        profiled : bool
+            Whether delays are sought over their whole ranges.
         """
-        asked = question(self.identity, model, starts, refined)
+        asked = question(self.identity, model, starts, refined, profiled)
         found = self.kept.find(asked, model)
         if found is None:
-            found = self._fit(model, starts, refined)
+            found = self._fit(model, starts, refined, profiled)
             if not found.failure:
                 self.kept.keep(asked, found)
         return found
@@ -163,6 +166,7 @@ class Workbench:
         model: Model,
         starts: Sequence[Mapping[str, float]],
         refined: Sequence[str],
+        profiled: bool,
     ) -> Candidate:
         began = time.perf_counter()
         try:
@@ -175,7 +179,8 @@ class Workbench:
                 points = np.array([problem.free_vector(s) for s in reached])
                 best = explore(problem, points, evaluations=THOROUGH, further=FURTHER)
                 # In every round: by longer steps a long record may seem to prefer another wave.
-                best = delays_profiled(problem, best, evaluations=THOROUGH)
+                if profiled:
+                    best = delays_profiled(problem, best, evaluations=THOROUGH)
                 reached = _distinct(model, problem, best)
                 parts, moved, excess = self._checked(problem, reached[0])
                 wanted = self._wanted(problem, excess)
@@ -278,14 +283,22 @@ class Workbench:
         allowed = np.clip(rules.solver_share * noise, rules.solver_least, rules.solver_most)
         return float(allowed)
 
-    def finish(self, candidate: Candidate) -> Candidate:
+    def finish(self, candidate: Candidate, *, profiled: bool = False) -> Candidate:
         """Fit a candidate that is not fitted yet, from the values that it has.
 
         Where that leads to what cannot be integrated or fitted, its own values stand.
+
+        Parameters
+        ----------
+        candidate : Candidate
+        profiled : bool
+            Whether its delays are sought over their whole ranges; not where they were when it was
+            weighed.
         """
         if candidate.failure or candidate.free:
             return candidate
-        found = self.fit(candidate.model, [candidate.values], refined=candidate.refined)
+        model, starts = candidate.model, [candidate.values]
+        found = self.fit(model, starts, refined=candidate.refined, profiled=profiled)
         return self._unmoved(candidate, found) if found.failure else found
 
     def _unmoved(self, candidate: Candidate, failed: Candidate) -> Candidate:

@@ -132,6 +132,8 @@ class _Climb:
         rungs = [tuple(sorted(order[: i + 1])) for i in range(len(order))]
         rests = [tuple(k for k in keys if k != key) for key in order]
         wanted = list(dict.fromkeys([*rungs[:-1], *(r for r in rests if r)]))
+        what = f"fitting {' + '.join(['K, B, I', *keys])}"
+        self.progress(what, 0, len(wanted) + 1)
         final = self._final(self._weighed(keys))
         if final.failure:
             return final, ()
@@ -139,7 +141,7 @@ class _Climb:
         with ThreadPoolExecutor(THREADS) as pool:
             done = pool.map(lambda one: self._fit(one, final), wanted)
             for i, one in enumerate(wanted):
-                self.progress(f"fitting {' + '.join(['K, B, I', *one])}", i, len(wanted) + 1)
+                self.progress(f"fitting {' + '.join(['K, B, I', *one])}", i + 1, len(wanted) + 1)
                 fits[one] = next(done)
         fits[keys] = self._at_least(final, fits[rungs[-2]]) if len(rungs) > 1 else final
         out: list[Missing] = []
@@ -209,7 +211,7 @@ class _Climb:
         """A smaller model, from where it was weighed, or from the final model's values."""
         if keys in self.posterior.sets:
             return self.bench.finish(self.posterior.sets[keys].candidate)
-        return self.bench.finish(self._part(final, keys))
+        return self.bench.finish(self._part(final, keys), profiled=True)
 
     def _at_least(self, final: Candidate, rung: Candidate) -> Candidate:
         """The final model, which leaves no more than a rung of its ladder does."""
