@@ -55,7 +55,7 @@ class Evaluations:
     ) -> Evaluated:
         """Evaluate a model, or take it up as it was found: see `Evaluator.evaluate`."""
         within = None if nested is None else (nested.values, nested.log_likelihood)
-        path = self._path(model, starts, refined, scheme, _plain(noise), least, resolved, within)
+        path = self._path(model, noise, starts, refined, scheme, least, resolved, within)
         stored = read_arrays(path) if path is not None else None
         if stored is not None:
             return _again(self.evaluator, model, refined, stored)
@@ -86,7 +86,7 @@ class Evaluations:
         fewer = self.evaluator.coarse
         if fewer is None:
             return None
-        path = self._path(model, starts, refined, _plain(noise), "roughly")
+        path = self._path(model, noise, starts, refined, "roughly")
         stored = read_arrays(path) if path is not None else None
         if stored is not None:
             return _again(fewer, model, refined, stored)
@@ -95,15 +95,11 @@ class Evaluations:
             write_arrays(path, _stored(found))
         return found
 
-    def _path(self, model: Model, *how: object) -> Path | None:
+    def _path(self, model: Model, noise: Weights | None, *how: object) -> Path | None:
         if self.folder is None:
             return None
-        return self.folder / f"{_code()}-{question(self.identity, model, *how)}.npz"
-
-
-def _plain(noise: Weights | None) -> object:
-    """What tells one noise from another."""
-    return None if noise is None else (noise.estimate.levels, noise.contenders)
+        start = None if noise is None else (noise.estimate.levels, noise.contenders)
+        return self.folder / f"{_code()}-{question(self.identity, model, start, *how)}.npz"
 
 
 def _again(

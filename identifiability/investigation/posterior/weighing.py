@@ -160,6 +160,10 @@ class Weighing:
     screened: dict[Keys, float] = field(default_factory=dict)
     failures: dict[str, str] = field(default_factory=dict)
     _out_of_reach: set[tuple[Keys, str]] = field(default_factory=set)
+    _discrepancies: tuple[Evaluated, Discrepancy] | None = None
+    _inexact: dict[
+        tuple[Evaluated, Evaluated, Discrepant | None], tuple[Discrepant, Discrepant]
+    ] = field(default_factory=dict)
     _part: dict[Evaluated, float] = field(default_factory=dict)
 
     @property
@@ -513,7 +517,10 @@ class Weighing:
 
     def _forms(self, ranked: Sequence[Keys]) -> _Forms:
         """The sets that come near, with their equations inexact, and with something unknown."""
-        discrepancies = discrepancy_of(self.evaluator, self.found[ranked[0]])
+        likeliest = self.found[ranked[0]]
+        if self._discrepancies is None or self._discrepancies[0] is not likeliest:
+            self._discrepancies = likeliest, discrepancy_of(self.evaluator, likeliest)
+            self._inexact.clear()
         least, forms = self.score(ranked[0]) - _CONTENDS, _Forms()
         near = sorted(self._near(), key=len)
         for i, keys in enumerate(near):
@@ -525,7 +532,7 @@ class Weighing:
                 forms.unknown[keys] = found.log_evidence + found.beyond + besides
             smaller = [d for k, d in forms.beside.items() if set(k) < set(keys)]
             nested = max(smaller, key=lambda d: d.log_evidence, default=None)
-            one = self._beside(discrepancies, keys, nested)
+            one = self._beside(self._discrepancies[1], keys, nested)
             if one is None:
                 continue
             free, form = one
@@ -622,12 +629,20 @@ class Weighing:
     def _beside(
         self, discrepancies: Discrepancy, keys: Keys, nested: Discrepant | None
     ) -> tuple[Discrepant, Discrepant] | None:
-        """A set with any discrepancy, and with one that its equations' error explains."""
-        try:
-            return discrepancies.inexact(self.found[keys], self._tolerated(keys), nested)
-        except (ValueError, np.linalg.LinAlgError) as error:
-            self.failures[f"{'+'.join(keys)} and a discrepancy"] = str(error)
-            return None
+        """A set with any discrepancy, and with one that its equations' error explains.
+
+        Computed once, for as long as nothing that it follows from is another.
+        """
+        # The explained share hangs on what K, B and I leave, too.
+        asked = self.found[keys], self.found[()], nested
+        if asked not in self._inexact:
+            try:
+                found = discrepancies.inexact(self.found[keys], self._tolerated(keys), nested)
+            except (ValueError, np.linalg.LinAlgError) as error:
+                self.failures[f"{'+'.join(keys)} and a discrepancy"] = str(error)
+                return None
+            self._inexact[asked] = found
+        return self._inexact[asked]
 
 
 def log_prior(n_effects: int, every: int) -> float:
