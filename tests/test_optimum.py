@@ -7,6 +7,7 @@ import pytest
 from constructed import probabilities
 
 from identifiability.inference.conditional import one_by_one
+from identifiability.investigation.fits import bench as fits_bench
 from identifiability.investigation.fits import widths as fits_widths
 from identifiability.investigation.fits.bench import Workbench
 from identifiability.investigation.fits.candidate import unfitted
@@ -118,6 +119,27 @@ def test_a_delay_is_found_beyond_the_next_ripple():
     gains = gains_when_held(bench, free)
     assert max(gains.values()) < TOLERANCE, gains
     assert free.values["stretch_reflex.delay"] == pytest.approx(true["delay"], abs=2e-3)
+
+
+def test_what_was_weighed_is_fitted_from_its_delay(monkeypatch):
+    """Its delay was sought when it was weighed; fits from elsewhere seek it over its range."""
+    true = {"delay": 0.033, "time_constant": 0.01}
+    bench, free = fitted("stretch_reflex", "angle", true, shape=SHAKEN)
+    weighed = unfitted(free.model, free.values, free.refined, free.scheme)
+    sought = []
+    profiled = fits_bench.delays_profiled
+
+    def counted(*arguments, **options):
+        sought.append(arguments)
+        return profiled(*arguments, **options)
+
+    monkeypatch.setattr(fits_bench, "delays_profiled", counted)
+    found = bench.finish(weighed)
+    assert not sought
+    assert found.fitted.weighted == pytest.approx(free.fitted.weighted, rel=1e-4)
+    again = Workbench(bench.split).finish(weighed, profiled=True)
+    assert sought
+    assert again.fitted.weighted == pytest.approx(free.fitted.weighted, rel=1e-4)
 
 
 def moved_by_half_the_step(bench, candidate):

@@ -841,6 +841,25 @@ def test_sets_that_leave_the_same_are_weighed_by_the_same_noise(driven):
     assert not weighing._share()
 
 
+@pytest.mark.parametrize("driven", ["torque", "angle"])
+def test_a_discrepancy_is_weighed_once_until_what_it_follows_from_is_another(driven, monkeypatch):
+    evaluator = evaluator_for(trials_of(KBI(), START, noise=0.01, driven=driven))
+    found = evaluator.evaluate(KBI(), [START])
+    weighing, asked, inexact = Weighing(evaluator, EFFECTS), [], Discrepancy.inexact
+
+    def counted(self, *arguments):
+        asked.append(arguments)
+        return inexact(self, *arguments)
+
+    monkeypatch.setattr(Discrepancy, "inexact", counted)
+    rows = []
+    for one in (found, found, replace(found)):
+        weighing.found[()] = one
+        rows.append([(row.effects, row.log_evidence) for row in weighing.posterior().rows])
+    assert len(asked) == 2
+    assert rows[0] == rows[1] == rows[2]
+
+
 class Pretended:
     """A weighing in which every refined form is better by far."""
 
