@@ -137,7 +137,7 @@ def test_what_was_weighed_is_fitted_from_its_delay(monkeypatch):
     found = bench.finish(weighed)
     assert not sought
     assert found.fitted.weighted == pytest.approx(free.fitted.weighted, rel=1e-4)
-    again = Workbench(bench.split).finish(weighed, profiled=True)
+    again = Workbench(bench.split).fit(free.model, [free.values], refined=free.refined)
     assert sought
     assert again.fitted.weighted == pytest.approx(free.fitted.weighted, rel=1e-4)
 

@@ -344,7 +344,7 @@ def test_a_clue_that_no_error_falls_by_is_no_rung(left, expected, split):
     posterior = replace(posterior, sets=sets, unknown=both, beside_unknown=beside)
     claim = claim_of(posterior, EFFECTS, RULES.claimed)
     assert (claim.kind, claim.present) == ("unknown", both)
-    bench = SimpleNamespace(split=split, rules=RULES, finish=lambda candidate, **_: candidate)
+    bench = SimpleNamespace(split=split, rules=RULES, finish=lambda candidate: candidate)
     found = found_of(bench, fitted[()], posterior, claim, EFFECTS)
     assert tuple(m.key for m in found.missing) == expected
     verdict = judge(split, posterior, claim, found, left_over("static"), (), EFFECTS)
@@ -368,7 +368,7 @@ def test_where_nothing_is_named_the_nearest_of_what_is_known_is_shown(rows, near
     sets = {k: replace(s, candidate=fitted[k]) for k, s in posterior.sets.items()}
     posterior = replace(posterior, sets=sets)
     claim = claim_of(posterior, EFFECTS, RULES.claimed)
-    bench = SimpleNamespace(split=split, rules=RULES, finish=lambda candidate, **_: candidate)
+    bench = SimpleNamespace(split=split, rules=RULES, finish=lambda candidate: candidate)
     found = found_of(bench, fitted[()], posterior, claim, EFFECTS)
     rest = left_over("static")
     judged = judge(split, posterior, claim, found, rest, (), EFFECTS)

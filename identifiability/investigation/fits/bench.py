@@ -283,22 +283,16 @@ class Workbench:
         allowed = np.clip(rules.solver_share * noise, rules.solver_least, rules.solver_most)
         return float(allowed)
 
-    def finish(self, candidate: Candidate, *, profiled: bool = False) -> Candidate:
+    def finish(self, candidate: Candidate) -> Candidate:
         """Fit a candidate that is not fitted yet, from the values that it has.
 
-        Where that leads to what cannot be integrated or fitted, its own values stand.
-
-        Parameters
-        ----------
-        candidate : Candidate
-        profiled : bool
-            Whether its delays are sought over their whole ranges; not where they were when it was
-            weighed.
+        Its delays were sought when it was weighed, or the model that it is a part of. Where that
+        leads to what cannot be integrated or fitted, its own values stand.
         """
         if candidate.failure or candidate.free:
             return candidate
         model, starts = candidate.model, [candidate.values]
-        found = self.fit(model, starts, refined=candidate.refined, profiled=profiled)
+        found = self.fit(model, starts, refined=candidate.refined, profiled=False)
         return self._unmoved(candidate, found) if found.failure else found
 
     def _unmoved(self, candidate: Candidate, failed: Candidate) -> Candidate:

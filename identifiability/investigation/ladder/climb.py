@@ -211,7 +211,7 @@ class _Climb:
         """A smaller model, from where it was weighed, or from the final model's values."""
         if keys in self.posterior.sets:
             return self.bench.finish(self.posterior.sets[keys].candidate)
-        return self.bench.finish(self._part(final, keys), profiled=True)
+        return self.bench.finish(self._part(final, keys))
 
     def _at_least(self, final: Candidate, rung: Candidate) -> Candidate:
         """The final model, which leaves no more than a rung of its ladder does."""
