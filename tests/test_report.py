@@ -286,7 +286,10 @@ def reported(request, explained, tmp_path_factory):
     if kind == "unknown_static":
         findings = replace(
             findings,
-            found=replace(found, missing=(), final=found.baseline),
+            found=replace(found, missing=(), final=found.baseline, nearest=found.final),
+            posterior=replace(
+                findings.posterior, screened={("cubic_stiffness", "quadratic_stiffness"): 53.0}
+            ),
             verdict=replace(findings.verdict, kind=kind, sets=()),
             unexplained_after=replace(findings.unexplained_before, static_map=MAP),
         )
@@ -334,6 +337,10 @@ def test_a_report_holds_what_its_verdict_needs(reported):
         *(["Next experiment"] if kind == "one_of" else []),
         "How this was computed",
     ]
+    # What was left out of a long record's weighing, and the nearest of what is known.
+    assert ("nearest known: K, B, I + cubic stiffness" in page) == (kind == "unknown_static")
+    assert ("53 nats or more behind the best of as many" in page) == (kind == "unknown_static")
+    assert len(reported.record["weighed"]["begun_only"]) == (kind == "unknown_static")
     # Nothing is fetched from elsewhere, and every figure is there in all formats.
     assert not re.search(r'(src|href)="(?!data:|#)', page)
     shown = sorted(name for name in reported.figures if name.endswith(".svg"))

@@ -173,7 +173,14 @@ def _posterior(posterior: Probabilities | None) -> dict[str, Any]:
         ],
         "present": _present(posterior),
         # Of long records parts all over them.
-        "weighed": {"samples": compared, "of": recorded},
+        "weighed": {
+            "samples": compared,
+            "of": recorded,
+            "begun_only": [
+                {"effects": list(keys), "behind": behind}
+                for keys, behind in posterior.screened.items()
+            ],
+        },
         "discrepancy": _discrepancy(posterior),
     }
 

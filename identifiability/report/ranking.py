@@ -6,6 +6,7 @@ from dataclasses import replace
 
 from identifiability.investigation.findings import Findings
 from identifiability.investigation.ladder.found import Found, Tried
+from identifiability.investigation.posterior.probabilities import Probabilities
 from identifiability.investigation.wording import verdict as words
 from identifiability.investigation.wording.numbers import times
 from identifiability.plots.investigation import alone_figure
@@ -30,7 +31,7 @@ def ranking(page: Page, figures: Figures, findings: Findings) -> None:
         f"Of {found.n_weighed} sets of effects that were fitted, these are probable, by one "
         "likelihood of the recordings in which the noise of both channels and its colour are "
         "estimated for each. Something unknown is a torque of any form. Before the data every "
-        "number of effects is as probable, and every set of so many."
+        "number of effects is as probable, and every set of so many." + _begun_only(posterior)
     )
     page.table(
         ["missing", "probability"],
@@ -71,6 +72,17 @@ def ranking(page: Page, figures: Figures, findings: Findings) -> None:
         "“Times as probable” is how many times as probable the trials are with the effect as "
         "without it, averaged over what the parameters may be before them; what an effect leaves "
         "is a share of the response's energy."
+    )
+
+
+def _begun_only(posterior: Probabilities) -> str:
+    """What was left out of a long record's weighing, and how far behind it was."""
+    if not posterior.screened:
+        return ""
+    return (
+        f" {len(posterior.screened)} more were begun by a part of the samples, which put each of "
+        f"them {min(posterior.screened.values()):.0f} nats or more behind the best of as many "
+        "effects, and were not weighed by all."
     )
 
 

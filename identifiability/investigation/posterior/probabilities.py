@@ -81,6 +81,9 @@ class Probabilities:
         Number of samples that were compared, and of those that were recorded in that band.
     failures : mapping of str to str
         Models that could not be evaluated, and why.
+    screened : mapping of tuple of str to float
+        Sets that were begun by a part of a long record's samples and not weighed by all, and how
+        many nats each was behind the best of as many effects there.
     """
 
     rows: tuple[SetProbability, ...]
@@ -95,6 +98,7 @@ class Probabilities:
     sets: Mapping[tuple[str, ...], WeighedSet]
     samples: tuple[int, int]
     failures: Mapping[str, str] = field(default_factory=dict)
+    screened: Mapping[tuple[str, ...], float] = field(default_factory=dict)
 
     def of(self, effects: Sequence[str] | None) -> float:
         """Probability of a set; 0 where it was not tried."""

@@ -507,6 +507,7 @@ class Weighing:
             {keys: self._weighed(found) for keys, found in self.found.items()},
             (self.evaluator.band.n_samples, self.evaluator.band.n_recorded),
             dict(self.failures),
+            {keys: behind for keys, behind in self.screened.items() if keys not in self.found},
         )
 
     def _weighed(self, found: Evaluated) -> WeighedSet:
