@@ -41,7 +41,7 @@ from identifiability.investigation.posterior.discrepancy import (
     _known,
     discrepancy_of,
 )
-from identifiability.investigation.posterior.evidence import Evaluated
+from identifiability.investigation.posterior.evidence import Evaluated, Evaluator
 from identifiability.investigation.posterior.growing import growing_noise
 from identifiability.investigation.posterior.laplace import log_volume, moved_by
 from identifiability.investigation.posterior.noises import Weighed, raw_residuals
@@ -290,8 +290,21 @@ def test_laplace_agrees_with_sampling(key, hidden):
 # Errors of the integration
 
 
-def test_a_model_is_integrated_as_finely_as_telling_it_from_others_asks():
+def test_a_model_is_integrated_as_finely_as_telling_it_from_others_asks(monkeypatch):
     """Steps that are too long are found by half of them; without it the evidence is another's."""
+    asked, fitted = [], []
+    finer, settled = Evaluator._finer, Evaluator.settled
+
+    def asking(problem, found):
+        asked.append(finer(problem, found))
+        return asked[-1]
+
+    def fitting(self, problem, *arguments, **options):
+        fitted.append(problem.integration)
+        return settled(self, problem, *arguments, **options)
+
+    monkeypatch.setattr(Evaluator, "_finer", staticmethod(asking))
+    monkeypatch.setattr(Evaluator, "settled", fitting)
     random = np.random.default_rng(5)
     time = np.arange(300) / 200
     torque = 6.0 * np.sign(np.sin(2 * np.pi * 2.5 * time)) * (time > 0.1)
@@ -304,6 +317,8 @@ def test_a_model_is_integrated_as_finely_as_telling_it_from_others_asks():
     evaluator = evaluator_for([trial])
     long, short = Scheme(1, 2), Scheme(64, 4)
     found = evaluator.evaluate(model, [values], scheme=long)
+    # Two doublings or more in a row, and one fit in the last of them.
+    assert len([scheme for scheme in asked if scheme is not None]) > len(set(fitted)) - 1 > 0
     exact = evaluator.evaluate(model, [values], scheme=short)
     assert found.scheme.is_finer_than(long)
     # Both by one noise: its optimum may be found from one fit and not from the other.
