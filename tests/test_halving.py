@@ -8,6 +8,7 @@ import pytest
 from identifiability.inference.problem import Problem
 from identifiability.investigation.posterior.band import band_of
 from identifiability.investigation.posterior.halving import halve, without_level
+from identifiability.investigation.posterior.noises import raw_residuals
 from identifiability.investigation.session import Investigation
 from identifiability.joint.effects import EFFECTS
 from identifiability.joint.model import KBI
@@ -61,12 +62,38 @@ def test_a_linear_model_is_the_same_on_either_side_of_the_filter():
     through = replace(by_motion, observations=[w.observation for w in band._windows])
     rows = through.by_observation(through.residuals(x)[:, None])
     seen = [
-        w.compared(r, band.every, differ=False) for w, r in zip(band._windows, rows, strict=True)
+        w.compared(r, band.every, w.observation.measured)
+        for w, r in zip(band._windows, rows, strict=True)
     ]
     gap = np.abs(np.concatenate(before) - np.concatenate(without_level(seen, band.trial)))
     # But for the ends, where both have to guess.
     assert gap[4:-2].max() < 5e-4 * band.scale
     assert gap.max() < 0.02 * band.scale
+
+
+def test_another_response_to_the_same_motion_is_compared_as_it_is():
+    """What was recorded has passed the filter: between the compared samples it does not count."""
+    band = band_of([to_and_fro()], [])
+    problem = band.problem(FRICTION)
+    assert band.sees_whole(FRICTION)
+    x = problem.free_vector(RUBBING)
+    changed = [np.zeros(o.measured.size) for o in problem.observations]
+    random = np.random.default_rng(1)
+    for one, chosen in zip(changed, band.samples, strict=True):
+        one[chosen] = random.standard_normal(chosen.size)
+    observations = [
+        replace(o, measured=o.measured + one)
+        for o, one in zip(problem.observations, changed, strict=True)
+    ]
+    other = replace(problem, observations=observations)
+    before, after = (raw_residuals(one, band, x)[0] for one in (problem, other))
+    moved = [a - b for a, b in zip(after, before, strict=True)]
+    expected = without_level(
+        [-one[chosen, None] for one, chosen in zip(changed, band.samples, strict=True)], band.trial
+    )
+    for one, wanted in zip(moved, expected, strict=True):
+        assert one[:, 0] == pytest.approx(wanted[:, 0], abs=1e-9)
+        assert np.all(np.abs(one[:, 1:]) < 1e-9)
 
 
 @pytest.mark.parametrize("seconds", [4.0, 60.0])

@@ -782,7 +782,7 @@ def test_what_is_compared_is_exact_for_a_joint_that_is_known():
     known = {"K": 26.0, "B": 1.0, "I": 0.08, "cubic_stiffness.coefficient": 20 / 3 / 0.2**2}
     problem = band.problem(model)
     residuals = problem.residuals(problem.free_vector(known | {"cubic_stiffness.centre": 0.0}))
-    for left in band.compared(problem.by_observation(residuals[:, None]), model):
+    for left in band.compared(problem.by_observation(residuals[:, None]), problem):
         assert np.ptp(left) < 2e-3 * band.scale
 
 

@@ -144,29 +144,33 @@ class Band:
         placed = zip(self._placed, self.trial, strict=True)
         return [Window.of(whole[trial], piece, span) for (piece, span), trial in placed]
 
-    def compared(self, rows: np.ndarray, model: Model, *, differ: bool = False) -> list[np.ndarray]:
+    def compared(
+        self, rows: np.ndarray, problem: Problem, *, differ: bool = False
+    ) -> list[np.ndarray]:
         """Of a model's residuals and their derivatives what is compared, by stretch.
 
         Parameters
         ----------
         rows : array, shape (n_observations, n, k)
             By observation of the model's problem and sample; the residual, then derivatives.
-        model : Model
+        problem : Problem
+            Which may have another response to the same motion than was recorded.
         differ : bool
             Whether the first column too is a difference, of two residuals.
         """
-        if not self.sees_whole(model):
+        if not self.sees_whole(problem.model):
             return self.stretches(rows)
+        trials = problem.observations[: len(rows)]
         seen = [
-            window.compared(mine, self.every, differ=differ)
-            for window, mine in zip(self._windows, rows, strict=True)
+            window.compared(mine, self.every, None if differ else one.measured)
+            for window, mine, one in zip(self._windows, rows, trials, strict=True)
         ]
         return without_level(seen, self.trial)
 
     def residuals(self, problem: Problem, x: np.ndarray) -> list[np.ndarray]:
         """What a model of these trials leaves of all that is compared, by stretch, shape (n, 1)."""
         rows = problem.by_observation(problem.residuals(x)[:, None])
-        return self.compared(rows[: len(self.observations)], problem.model)
+        return self.compared(rows[: len(self.observations)], problem)
 
     def responses(self, problem: Problem, x: np.ndarray) -> list[np.ndarray]:
         """Response of a model of these trials, between the ends of each stretch."""
@@ -174,7 +178,7 @@ class Band:
         if not self.sees_whole(problem.model):
             return [one[window] for one, window in zip(found, self.windows, strict=True)]
         return [
-            window.compared(one[:, None], 1, differ=True)[:, 0]
+            window.compared(one[:, None], 1)[:, 0]
             for one, window in zip(found, self._windows, strict=True)
         ]
 

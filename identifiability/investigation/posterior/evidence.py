@@ -346,7 +346,7 @@ class Evaluator:
         moved = problem.halved().residuals(found.x) - problem.residuals(found.x)
         rows = problem.by_observation(moved[:, None])
         band = found.weights.band
-        changed = band.compared(rows[: len(band.observations)], problem.model, differ=True)
+        changed = band.compared(rows[: len(band.observations)], problem, differ=True)
         white = found.weights.whitened(changed)
         error = float(np.sum(white**2)) / problem.integration.shown
         if not error > _SOLVER:

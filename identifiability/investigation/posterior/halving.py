@@ -87,7 +87,9 @@ class Window:
         seen = observe(drive, whole.response[begin:end], Noise(1.0), select=needed)
         return cls(seen, first, last, ends_in_motion(whole.trial.angle, _REACH)[0])
 
-    def compared(self, rows: np.ndarray, every: int, *, differ: bool) -> np.ndarray:
+    def compared(
+        self, rows: np.ndarray, every: int, measured: np.ndarray | None = None
+    ) -> np.ndarray:
         """What the filter leaves of residuals and their derivatives, shape (n, k).
 
         Parameters
@@ -96,13 +98,14 @@ class Window:
             The first column is the residual, or its difference from another.
         every : int
             One sample in so many is compared.
-        differ : bool
-            Whether all columns are differences: what was measured is in none of them.
+        measured : array, shape (n,), optional
+            What the residual is of. It has passed the filter, and does not pass it again: only what
+            the model makes of the motion does. None where all columns are differences.
         """
-        measured = self.observation.measured
-        begin, end = _first_needed(self.first), min(self.last + _REACH, measured.size)
+        n = self.observation.measured.size
+        begin, end = _first_needed(self.first), min(self.last + _REACH, n)
         values = rows[begin:end].copy()
-        if not differ:
+        if measured is not None:
             values[:, 0] += measured[begin:end]
         before = begin + _REACH - self.first
         beyond = np.repeat(values[:1], before, axis=0)
@@ -110,7 +113,7 @@ class Window:
             beyond = 2 * beyond - values[before:0:-1]
         passed = correlate1d(np.concatenate([beyond, values]), _TAPS, axis=0)
         found = passed[_REACH : _REACH + self.last - self.first : every]
-        if not differ:
+        if measured is not None:
             found[:, 0] -= measured[self.first : self.last : every]
         return found
 

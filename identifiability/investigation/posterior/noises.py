@@ -131,12 +131,12 @@ def raw_residuals(
     residuals = problem.by_observation(problem.residuals(x)[:, None])
     both = np.concatenate([residuals, problem.by_observation(problem.jacobian(x))], axis=2)
     both = np.clip(np.nan_to_num(both, nan=_HUGE), -_HUGE, _HUGE)
-    trials = band.compared(both[:rows], problem.model)
+    trials = band.compared(both[:rows], problem)
     if n == rows:
         return trials, None
     changed = np.zeros_like(both[:rows])
     changed[band.probed_ones] = both[rows:n] - both[band.probed_ones]
-    return trials, band.compared(changed, problem.model, differ=True)
+    return trials, band.compared(changed, problem, differ=True)
 
 
 @dataclass(frozen=True, eq=False)
