@@ -89,7 +89,7 @@ def test_a_few_pieces_tell_how_much_noise_a_model_makes_of_an_angle(monkeypatch)
 
 @pytest.mark.parametrize("driven", ["torque", "angle"])
 def test_sets_that_a_part_of_the_samples_excludes_are_far_behind_by_all(driven):
-    """Beside what is known the sensor is late; a low-pass is like it, the others are not."""
+    """Beside what is known the sensor is late; nothing else that is tried is like that."""
     trial, model = long_record(driven, (21, 11), {"sensor_delay.delay": 0.004})
     evaluator = evaluator_of(band_of([trial], []), JOINT)
     first = next(key for key in model.effect_keys if key != "sensor_delay")
@@ -97,13 +97,11 @@ def test_sets_that_a_part_of_the_samples_excludes_are_far_behind_by_all(driven):
     list(weighing.weigh([Job(KBI(), [JOINT])]))
     list(weighing.weigh([enlarged(weighing.found[()], EFFECTS[first](), {})]))
     current = weighing.found[first,]
-    tried = ("sensor_delay", "sensor_lowpass", "gravity", "coulomb_friction", "cubic_stiffness")
-    tried = [key for key in tried if key != first]
+    tried = ("sensor_delay", "gravity", "coulomb_friction")
     jobs = [enlarged(current, EFFECTS[key](), {}) for key in tried]
     kept = [key for job in weighing.in_reach(jobs) for key in job.model.effect_keys if key != first]
-    assert kept[0] == "sensor_delay"
-    assert set(kept) <= {"sensor_delay", "sensor_lowpass"}
-    assert {key for keys in weighing.screened for key in keys} == {first, *tried} - set(kept)
+    assert kept == ["sensor_delay"]
+    assert {key for keys in weighing.screened for key in keys} == {first, *tried} - {"sensor_delay"}
     list(weighing.weigh(jobs))
     best = max(found.log_evidence for found in weighing.found.values())
     for keys in weighing.screened:
@@ -112,4 +110,4 @@ def test_sets_that_a_part_of_the_samples_excludes_are_far_behind_by_all(driven):
     short = Weighing(replace(evaluator, coarse=None), EFFECTS, found=dict(weighing.found))
     assert short.in_reach(jobs) == jobs
     alone = Weighing(evaluator, EFFECTS, found={(): weighing.found[()]})
-    assert len(alone.in_reach(jobs[2:3])) == 1
+    assert len(alone.in_reach(jobs[1:2])) == 1
