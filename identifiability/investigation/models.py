@@ -72,12 +72,10 @@ def fitted_models(findings: Findings) -> tuple[FittedModel, ...]:
         for missing in found.missing
         for one in missing.instead
     ]
-    nearest = [
-        FittedModel("nearest", "", "", one, _sds(findings, one))
-        for one in (found.nearest,)
-        if one is not None
-    ]
-    return (baseline, *steps, *instead, *nearest)
+    models = (baseline, *steps, *instead)
+    if found.nearest is None:
+        return models
+    return (*models, FittedModel("nearest", "", "", found.nearest, _sds(findings, found.nearest)))
 
 
 def _sds(findings: Findings, candidate: Candidate) -> dict[str, float]:

@@ -132,8 +132,11 @@ class _Climb:
         rungs = [tuple(sorted(order[: i + 1])) for i in range(len(order))]
         rests = [tuple(k for k in keys if k != key) for key in order]
         wanted = list(dict.fromkeys([*rungs[:-1], *(r for r in rests if r)]))
-        what = f"fitting {' + '.join(['K, B, I', *keys])}"
-        self.progress(what, 0, len(wanted) + 1)
+
+        def told(one: Keys, done: int) -> None:
+            self.progress(f"fitting {' + '.join(['K, B, I', *one])}", done, len(wanted) + 1)
+
+        told(keys, 0)
         final = self._final(self._weighed(keys))
         if final.failure:
             return final, ()
@@ -141,7 +144,7 @@ class _Climb:
         with ThreadPoolExecutor(THREADS) as pool:
             done = pool.map(lambda one: self._fit(one, final), wanted)
             for i, one in enumerate(wanted):
-                self.progress(f"fitting {' + '.join(['K, B, I', *one])}", i + 1, len(wanted) + 1)
+                told(one, i + 1)
                 fits[one] = next(done)
         fits[keys] = self._at_least(final, fits[rungs[-2]]) if len(rungs) > 1 else final
         out: list[Missing] = []

@@ -221,9 +221,9 @@ class _Search:
             rest = known.model.without(key)
             for other in self.library[key].confused_with:
                 others = tuple(sorted({*keys, other} - {key}))
-                if other not in self.library or other in keys or others in found:
+                if other not in self.library or other in keys:
                     continue
-                if others in self.weighing.screened:
+                if others in found or others in self.weighing.screened:
                     continue
                 if rest.takes(self.library[other]):
                     alone = found[other,].values if (other,) in found else {}
