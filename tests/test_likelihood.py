@@ -291,6 +291,20 @@ def test_carried_noise_is_that_of_the_response():
     )
 
 
+@pytest.mark.parametrize("joint", [(80.0, 0.5, 0.02), (100.0, 1.0, 0.017), (1e3, 0.0, 1e-4)])
+@pytest.mark.parametrize("interval", [0.001, 0.01])
+def test_noise_of_an_imposed_angle_has_the_spectrum_of_its_spline(joint, interval):
+    """A filter that looks back alone, and the spline, whose far samples are left out."""
+    joint = np.array(joint)
+    found = carried.by_impedance(joint, interval)
+    spline = Process(np.ones(1), carried.motion_taps(interval) @ joint)
+    scale = spline.autocovariance(0)[0]
+    off = found.autocovariance(60) - spline.autocovariance(60)
+    np.testing.assert_allclose(off / scale, 0.0, atol=1e-4)
+    # A motion that stays is held by the stiffness alone.
+    assert found.ma.sum() / found.ar.sum() == pytest.approx(joint[0], rel=1e-9)
+
+
 def residuals_of(process, n, pieces, seed):
     random = np.random.default_rng(seed)
     slope = np.linspace(-1, 1, n)[:, None]

@@ -8,7 +8,14 @@ import scipy.linalg
 import scipy.optimize
 
 from identifiability.inference.likelihood import carried
-from identifiability.inference.likelihood.beside import Left, deviance, most_likely
+from identifiability.inference.likelihood.beside import (
+    Left,
+    change_beside,
+    deviance,
+    most_likely,
+    whitened_beside,
+    whitened_beside_of_four,
+)
 from identifiability.inference.likelihood.estimate import (
     Contender,
     Order,
@@ -20,7 +27,7 @@ from identifiability.inference.likelihood.processes import Process
 from identifiability.inference.likelihood.profiled import polynomial
 
 JOINT, INTERVAL = np.array([40.0, 0.5, 0.05]), 0.01
-LENGTHS = (40, 60, 50)
+LENGTHS = (80, 120, 100)
 
 
 def came_in():
@@ -89,6 +96,45 @@ def test_the_deviance_is_that_of_full_matrices(k):
     banded = np.array([deviance(point, left_in(stretches, k)) for point in points])
     full = np.array([dense(point, stretches, k) for point in points])
     np.testing.assert_allclose(np.diff(banded), np.diff(full), rtol=1e-7)
+
+
+@pytest.mark.parametrize("k", [0, 2])
+@pytest.mark.parametrize("last", [-0.4, -3.0, -40.0])
+def test_four_noises_at_a_time_are_what_each_is_alone(k, last):
+    """In the last, little is the instrument's own, and less and less is carried."""
+    left, points = left_in(recorded(), k), np.array([-0.5, 0.3, -0.7, -0.4]) + np.zeros((4, 1))
+    points[1:, 0], points[2:, 2], points[3, 3] = -1.2, [0.2, -4.0], last
+    white, diagonal, rest = whitened_beside_of_four(points, left)
+    for i, point in enumerate(points):
+        alone = whitened_beside(point, left)
+        np.testing.assert_allclose(white[i], alone[0], rtol=1e-9, atol=1e-8)
+        np.testing.assert_allclose(diagonal[i], alone[1], rtol=1e-9)
+        assert rest[i] == pytest.approx(alone[2], rel=1e-9)
+
+
+def test_four_noises_of_which_one_is_none_are_what_each_is_alone():
+    left = left_in(recorded(), 2)
+    points = np.array([[-0.5, 0.3, 0.0, -0.4]] * 4)
+    points[1, 2] = 800.0  # beyond the largest number
+    white, _, rest = whitened_beside_of_four(points, left)
+    assert np.isfinite(white[:, 0]).tolist() == [True, False, True, True]
+    for i in (0, 2, 3):
+        alone = whitened_beside(points[i], left)
+        np.testing.assert_allclose(white[i], alone[0], rtol=1e-9, atol=1e-12)
+        assert rest[i] == pytest.approx(alone[2], rel=1e-12)
+
+
+@pytest.mark.parametrize("held", [False, True])
+def test_the_slope_of_the_deviance_is_that_of_its_differences(held):
+    left, point = left_in(recorded(), 2), np.array([-0.5, 0.3, -0.7, -0.4])
+    n = 4 - held
+    gradient, products = change_beside(point, *whitened_beside(point, left), left, n)
+    for i in range(n):
+        away = np.zeros(4)
+        away[i] = 1e-4
+        slope = (deviance(point + away, left) - deviance(point - away, left)) / 2e-4
+        assert gradient[i] == pytest.approx(0.5 * slope, rel=1e-3, abs=1e-3)
+    assert np.all(np.linalg.eigvalsh(products) > 0)
 
 
 @pytest.mark.parametrize("held", [False, True])

@@ -9,7 +9,6 @@ from scipy.interpolate import make_interp_spline
 from identifiability.inference.between import joined
 from identifiability.inference.fitting import fit
 from identifiability.inference.problem import Prior, Problem, observe
-from identifiability.investigation.investigate import investigate
 from identifiability.investigation.session import Investigation
 from identifiability.joint.effects.cubic_stiffness import CubicStiffness
 from identifiability.joint.model import KBI
@@ -138,12 +137,13 @@ def test_an_effect_is_found_with_the_right_parameters():
     trials = [trial(3 * waves(FINE, s), model, values, s) for s in range(2)]
 
     library = {"cubic_stiffness": CubicStiffness}
-    found = investigate(trials[:1], trials[1:], library=library, most=1, with_widths=False)
-    assert found.verdict.effects == ("cubic_stiffness",)
-    assert found.posterior.values == pytest.approx(
+    smooth = Investigation(trials[:1], trials[1:], library=library)
+    assert {p.treatment.torque_between for p in smooth.split.fitted} == {"smooth"}
+    found = smooth.weigh(most=1)
+    assert smooth.claim(found).sets == (("cubic_stiffness",),)
+    assert found.values == pytest.approx(
         truth | {"cubic_stiffness.centre": 0.0}, rel=0.01, abs=0.01
     )
-    assert {p.treatment.torque_between for p in found.split.fitted} == {"smooth"}
     # What straight lines lose is taken for something unknown; then the other way is likelier.
     study = Investigation(trials[:1], trials[1:], library=library, torque_between="straight")
     by_lines = study.weigh(most=1)
@@ -151,7 +151,7 @@ def test_an_effect_is_found_with_the_right_parameters():
     other = study.otherwise(by_lines)
     assert other.torque_between == "smooth"
     assert any("smooth between its samples" in remark for remark in other.remarks)
-    assert other.otherwise(found.posterior) is None
+    assert other.otherwise(found) is None
 
 
 def test_a_smooth_torque_is_told_by_colour_where_least_squares_do_not_see_it():

@@ -14,7 +14,8 @@ Filters = tuple[tuple[np.ndarray, np.ndarray], ...]
 
 # Shares of the variance. Without so much white noise a covariance that has all but none at some
 # frequency is indefinite by rounding.
-_ROUNDING = (1e-13, 1e-11, 1e-9)
+ROUNDING = (1e-13, 1e-11, 1e-9)
+_TOGETHER = 8  # deviations whose product is a number, however large or small they are
 _REPEATS = 1e-14  # change of a row, over its first, from which on the factor repeats itself
 
 
@@ -123,14 +124,12 @@ def covariance(parts: Filters, n: int, beside: np.ndarray) -> tuple[np.ndarray, 
     if beside.size:
         for t in range(n):
             for lag in range(min(t, head) + 1):
-                _add_filtered(rows, ar, beside, t, lag)
+                add_filtered(rows, ar, beside, t, lag)
     return ar, rows
 
 
 @compiled_loop
-def _add_filtered(
-    rows: np.ndarray, ar: np.ndarray, variances: np.ndarray, t: int, lag: int
-) -> None:
+def add_filtered(rows: np.ndarray, ar: np.ndarray, variances: np.ndarray, t: int, lag: int) -> None:
     """Add the covariance of independent noise at a sample and one before it, both filtered."""
     head = ar.size - 1
     for i in range(head - lag + 1):  # of the shock's own sample behind the earlier one
@@ -188,7 +187,7 @@ def factor(rows: np.ndarray, n: int) -> np.ndarray:
     array, shape (m, w + 1)
         Its rows; those beyond are the last. None where no factor was found.
     """
-    for share in _ROUNDING:
+    for share in ROUNDING:
         found = _factor(rows, n, share)
         if len(found):
             return found
@@ -262,6 +261,18 @@ def whitened_without_level(
         for j in range(k):
             found[t, j] = white[t, j] - shares[j] * white[t, k]
     return found, np.sqrt(square)
+
+
+@compiled_loop
+def sum_of_logarithms(values: np.ndarray) -> float:
+    """Sum of logarithms of positive values, of some together: one takes long."""
+    total, product_of_some = 0.0, 1.0
+    for i in range(values.size):
+        product_of_some *= values[i]
+        if i % _TOGETHER == _TOGETHER - 1:
+            total += np.log(product_of_some)
+            product_of_some = 1.0
+    return total + np.log(product_of_some)
 
 
 @compiled_loop

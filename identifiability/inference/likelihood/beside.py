@@ -11,10 +11,18 @@ from typing import NamedTuple
 import numpy as np
 
 from identifiability.inference.likelihood.banded import (
+    Filters,
     covariance,
     factor,
     log_determinant_of,
+    sum_of_logarithms,
     whitened_without_level,
+)
+from identifiability.inference.likelihood.of_four import (
+    factors,
+    first_rows,
+    later_rows,
+    whitened_by_four,
 )
 from identifiability.inference.likelihood.profiled import polynomial
 from identifiability.inference.likelihood.trust_region import (
@@ -62,11 +70,20 @@ class Left(NamedTuple):
 
 
 @compiled_loop
-def whitened_beside(values: np.ndarray, left: Left) -> tuple[np.ndarray, np.ndarray, float]:
-    """Whitened residuals, logarithms of the factor's diagonal, and what determinants are left.
+def parts_of(values: np.ndarray, left: Left) -> tuple[Filters, float]:
+    """The noise at its level that values stand for, and that level."""
+    p, q, carried = left.p, left.q, left.carried
+    partial, level = np.tanh(values[: p + q]), np.exp(values[p + q])
+    own = (polynomial(partial[:p]), polynomial(partial[p:]))
+    factor_of_carried = np.exp(values[p + q + 1]) if values.size > p + q + 1 else 1.0
+    return (own, (carried[0], factor_of_carried / level * carried[1])), level
 
-    Minus twice the restricted log likelihood is the sum of squares of the first, twice the sum of
-    the second, and the third.
+
+@compiled_loop
+def whitened_beside(values: np.ndarray, left: Left) -> tuple[np.ndarray, np.ndarray, float]:
+    """Whitened residuals, the factor's diagonal, and the logarithm of all determinants.
+
+    Minus twice the restricted log likelihood is the sum of squares of the first, and the third.
 
     Returns
     -------
@@ -75,19 +92,16 @@ def whitened_beside(values: np.ndarray, left: Left) -> tuple[np.ndarray, np.ndar
     array, shape (n_samples,)
     float
     """
-    p, q, carried, columns, lengths, variances, k = left
+    columns, lengths, variances, k = left.columns, left.lengths, left.variances, left.k
     total = variances.size
     found, diagonal = np.full(total, np.inf), np.zeros(total)
-    partial, level = np.tanh(values[: p + q]), np.exp(values[p + q])
-    own = (polynomial(partial[:p]), polynomial(partial[p:]))
-    factor_of_carried = np.exp(values[p + q + 1]) if values.size > p + q + 1 else 1.0
-    came_in = (carried[0], factor_of_carried / level * carried[1])
+    parts, level = parts_of(values, left)
     information, rest, done = np.zeros((k, k)), 0.0, 0
     for n in lengths:
         known = variances[done : done + n]
         # Where there is none its factor repeats itself.
         known = known[:0] if known.max() == 0 else known / level**2
-        ar, rows = covariance((own, came_in), n, known)
+        ar, rows = covariance(parts, n, known)
         triangle = factor(rows, n)
         if len(triangle) == 0:
             return np.full(total, np.inf), diagonal, rest
@@ -95,12 +109,13 @@ def whitened_beside(values: np.ndarray, left: Left) -> tuple[np.ndarray, np.ndar
         white, length = whitened_without_level(ar, triangle, block)
         for t in range(n):
             found[done + t] = white[t, 0] / level
-            diagonal[done + t] = np.log(triangle[min(t, len(triangle) - 1), 0] * level)
+            diagonal[done + t] = triangle[min(t, len(triangle) - 1), 0] * level
             for a in range(k):
                 for b in range(a + 1):
                     information[a, b] += white[t, 1 + a] * white[t, 1 + b] / level**2
         rest += 2 * np.log(length / level)
         done += n
+    rest += 2 * sum_of_logarithms(diagonal)
     if k:
         rest += log_determinant_of(information)
     if not np.isfinite(rest):
@@ -109,10 +124,59 @@ def whitened_beside(values: np.ndarray, left: Left) -> tuple[np.ndarray, np.ndar
 
 
 @compiled_loop
+def whitened_beside_of_four(
+    points: np.ndarray, left: Left
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What `whitened_beside` gives at four points, shape (4, n_values)."""
+    columns, lengths, variances, k = left.columns, left.lengths, left.variances, left.k
+    white, diagonal = np.empty((4, variances.size)), np.empty((4, variances.size))
+    levels, rest, done = np.empty(4), np.zeros(4), 0
+    information = np.zeros((4, k, k))
+    for n in lengths:
+        known = variances[done : done + n]
+        ar, rows, later = np.empty((0, 4)), np.empty((0, 0, 4)), np.empty((0, 4))
+        for j in range(4):
+            parts, levels[j] = parts_of(points[j], left)
+            its_ar, its_first, its_later = first_rows(parts, known / levels[j] ** 2)
+            if j == 0:
+                ar, later = np.empty((its_ar.size, 4)), np.empty((its_later.size, 4))
+                rows = np.zeros((n, its_later.size, 4))
+            ar[:, j], later[:, j] = its_ar, its_later
+            rows[: len(its_first), :, j] = its_first
+        later_rows(ar, later, known, levels, rows)
+        triangles = factors(rows)
+        if len(triangles) == 0:
+            for j in range(4):
+                white[j], diagonal[j], rest[j] = whitened_beside(points[j], left)
+            return white, diagonal, rest
+        block = columns[done * (1 + k) : (done + n) * (1 + k)].reshape(n, 1 + k)
+        found, lengths_of_level = whitened_by_four(ar, triangles, block)
+        for j in range(4):
+            for t in range(n):
+                white[j, done + t] = found[0, t, j] / levels[j]
+                diagonal[j, done + t] = triangles[t, 0, j] * levels[j]
+            for a in range(k):
+                for b in range(a + 1):
+                    shared = 0.0
+                    for t in range(n):
+                        shared += found[1 + a, t, j] * found[1 + b, t, j]
+                    information[j, a, b] += shared / levels[j] ** 2
+            rest[j] += 2 * np.log(lengths_of_level[j] / levels[j])
+        done += n
+    for j in range(4):
+        rest[j] += 2 * sum_of_logarithms(diagonal[j])
+        if k:
+            rest[j] += log_determinant_of(information[j])
+        if not np.isfinite(rest[j]):
+            white[j] = np.inf
+    return white, diagonal, rest
+
+
+@compiled_loop
 def deviance(values: np.ndarray, left: Left) -> float:
     """Minus twice the restricted log likelihood; infinite where there is none."""
-    white, diagonal, rest = whitened_beside(values, left)
-    return np.sum(white**2) + 2 * np.sum(diagonal) + rest
+    white, _, rest = whitened_beside(values, left)
+    return np.sum(white**2) + rest
 
 
 @compiled_loop
@@ -121,8 +185,8 @@ def change_beside(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Gradient of half the deviance by the first values, and its curvature as it is expected.
 
-    That is known from first derivatives: those of the whitened residuals, and of the logarithms of
-    the diagonal.
+    That is known from first derivatives: those of the whitened residuals, and of the diagonal,
+    each over its own.
 
     Parameters
     ----------
@@ -139,16 +203,19 @@ def change_beside(
     array, shape (n, n)
     """
     gradient, changes = np.zeros(n), np.zeros((n, 2 * white.size))
-    for i in range(n):
-        moved = nearby(values, i)
-        there, its_diagonal, its_rest = whitened_beside(moved, left)
-        step = moved[i] - values[i]
-        if np.isfinite(there[0]):
-            changes[i, : white.size] = (there - white) / step
-            changes[i, white.size :] = (its_diagonal - diagonal) / step
-            gradient[i] = 0.5 * (its_rest - rest) / step
-        gradient[i] += changes[i, : white.size] @ white
-        gradient[i] += np.sum(changes[i, white.size :])
+    points = np.empty((4, values.size))
+    for first in range(0, n, 4):
+        for j in range(4):
+            points[j] = nearby(values, min(first + j, n - 1))
+        there, its_diagonal, its_rest = whitened_beside_of_four(points, left)
+        for i in range(first, min(first + 4, n)):
+            j = i - first
+            step = points[j, i] - values[i]
+            if np.isfinite(there[j, 0]):
+                changes[i, : white.size] = (there[j] - white) / step
+                changes[i, white.size :] = (its_diagonal[j] - diagonal) / (step * diagonal)
+                gradient[i] = 0.5 * (its_rest[j] - rest) / step
+            gradient[i] += changes[i, : white.size] @ white
     return gradient, changes @ changes.T
 
 
@@ -174,7 +241,7 @@ def most_likely(
     n_free = lower.size
     values = clipped(start, lower, upper)
     white, diagonal, rest = whitened_beside(values, left)
-    least, radius = np.sum(white**2) + 2 * np.sum(diagonal) + rest, RADIUS
+    least, radius = np.sum(white**2) + rest, RADIUS
     if not np.isfinite(least):
         return values, False
     gradient, products = change_beside(values, white, diagonal, rest, left, n_free)
@@ -183,7 +250,7 @@ def most_likely(
         if promised <= _LEAST_GAIN:
             return values, True
         there, its_diagonal, its_rest = whitened_beside(moved, left)
-        gained = least - (np.sum(there**2) + 2 * np.sum(its_diagonal) + its_rest)
+        gained = least - (np.sum(there**2) + its_rest)
         radius = next_radius(radius, gained, promised, length)
         if gained > 0:
             values, white, diagonal, rest = moved, there, its_diagonal, its_rest

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import scipy.signal
+from scipy.interpolate import BSpline
 
 from identifiability.inference.likelihood.processes import Process
-from identifiability.measurement.perturbations import imposed_motion
+from identifiability.measurement.perturbations import MOTION_DEGREE, imposed_motion
 
 # The derivatives of a spline of degree 7 fall by 0.54 with every sample that another is away.
 _REACH = 15
@@ -49,8 +50,20 @@ def by_impedance(joint: np.ndarray, interval: float) -> Process:
     -------
     Process
         [Nm], for an angle's noise of 1 rad.
+
+    Notes
+    -----
+    The spline through samples is a filter that looks ahead as far as it looks back. This one has
+    the same spectrum and looks back alone, so that few of its samples say all: those of a B-spline
+    over its values at the samples (Unser, Aldroubi & Eden 1993, IEEE Trans Signal Process
+    41:821-833), each root of which that lies inside the unit circle stands for its inverse too.
     """
-    return Process(np.ones(1), motion_taps(interval) @ joint)
+    basis = BSpline.basis_element(np.arange(MOTION_DEGREE + 2.0))
+    at = np.arange(1.0, MOTION_DEGREE + 1)
+    roots = np.roots(basis(at))
+    half = np.real(np.poly(roots[np.abs(roots) < 1]))
+    moving = np.column_stack([basis(at, nu) / interval**nu for nu in range(3)]) @ joint
+    return Process(np.convolve(half, half), np.sum(half) ** 2 * moving)
 
 
 def by_admittance(joint: np.ndarray, interval: float) -> Process:
