@@ -85,19 +85,24 @@ def stamp(package: Path = _PACKAGE) -> str:
     return found.hexdigest()[:16]
 
 
+def folder() -> Path:
+    """Where what is compiled is kept."""
+    config: Any = numba.config
+    home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "identifiability"
+    return Path(config.CACHE_DIR or home) / "loops" / _STAMP
+
+
 @contextmanager
 def _kept() -> Iterator[bool]:
     """Have Numba keep what it compiles where other sources find nothing of it."""
     config: Any = numba.config
-    before = config.CACHE_DIR
-    home = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "identifiability"
-    folder = Path(before or home) / "loops" / _STAMP
+    before, kept = config.CACHE_DIR, folder()
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        kept.mkdir(parents=True, exist_ok=True)
     except OSError:
         yield False
         return
-    config.CACHE_DIR = str(folder)
+    config.CACHE_DIR = str(kept)
     try:
         yield True
     finally:

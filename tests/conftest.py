@@ -1,6 +1,8 @@
 """What all tests share: compiled programs kept between sessions, long runs on demand, test data."""
 
 import os
+import subprocess
+import sys
 import warnings
 from functools import partial
 from pathlib import Path
@@ -25,11 +27,25 @@ settings.load_profile("repeatable")
 
 
 def pytest_configure(config):
-    """Import ArviZ before the workers do: 0.x, imported by two at once, fails once a day."""
-    if not hasattr(config, "workerinput"):
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            import arviz  # noqa: F401
+    """Do before the workers begin what two of them should not do at once."""
+    if hasattr(config, "workerinput"):
+        return
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        import arviz  # noqa: F401 (0.x, imported by two at once, fails once a day)
+    _compile_loops()
+
+
+def _compile_loops():
+    """Compile in two processes what each worker would compile as a whole, unless it is there."""
+    from identifiability.loops import folder
+
+    if any(folder().rglob("*.nbi")):
+        return
+    script = Path(__file__).with_name("first_compiled.py")
+    parts = [subprocess.Popen([sys.executable, script, part]) for part in ("responses", "noises")]
+    for part in parts:
+        assert part.wait() == 0, "a loop cannot be compiled; see above"
 
 
 def pytest_collection_modifyitems(config, items):

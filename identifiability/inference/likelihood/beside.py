@@ -134,16 +134,16 @@ def whitened_beside_of_four(
     information = np.zeros((4, k, k))
     for n in lengths:
         known = variances[done : done + n]
-        ar, rows, later = np.empty((0, 4)), np.empty((0, 0, 4)), np.empty((0, 4))
+        ar, rows, later, begin = np.empty((0, 4)), np.empty((0, 0, 4)), np.empty((0, 4)), 0
         for j in range(4):
             parts, levels[j] = parts_of(points[j], left)
             its_ar, its_first, its_later = first_rows(parts, known / levels[j] ** 2)
             if j == 0:
                 ar, later = np.empty((its_ar.size, 4)), np.empty((its_later.size, 4))
-                rows = np.zeros((n, its_later.size, 4))
+                rows, begin = np.empty((n, its_later.size, 4)), len(its_first)
             ar[:, j], later[:, j] = its_ar, its_later
-            rows[: len(its_first), :, j] = its_first
-        later_rows(ar, later, known, levels, rows)
+            rows[:begin, :, j] = its_first
+        later_rows(ar, later, known, levels, begin, rows)
         triangles = factors(rows)
         if len(triangles) == 0:
             for j in range(4):

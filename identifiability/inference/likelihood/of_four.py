@@ -38,9 +38,14 @@ def first_rows(parts: Filters, beside: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 @compiled_loop
 def later_rows(
-    ar: np.ndarray, later: np.ndarray, beside: np.ndarray, levels: np.ndarray, rows: np.ndarray
+    ar: np.ndarray,
+    later: np.ndarray,
+    beside: np.ndarray,
+    levels: np.ndarray,
+    begin: int,
+    rows: np.ndarray,
 ) -> None:
-    """Fill in the rows of four covariances from the first one on that is 0.
+    """Fill in the rows of four covariances, from one on.
 
     Parameters
     ----------
@@ -50,6 +55,8 @@ def later_rows(
         Variances of the noise beside.
     levels : array, shape (4,)
         Over whose squares they are.
+    begin : int
+        The first row that `first_rows` does not give.
     rows : array, shape (n, w + 1, 4)
     """
     head, width = len(ar) - 1, rows.shape[1] - 1
@@ -58,9 +65,6 @@ def later_rows(
         for i in range(head - lag + 1):
             for j in range(4):
                 shares[lag, i, j] = ar[i, j] * ar[i + lag, j] / levels[j] ** 2
-    begin = 0
-    while begin < len(rows) and rows[begin, 0, 0] != 0.0:
-        begin += 1
     for t in range(begin, len(rows)):
         for lag in range(width + 1):
             a, b, c, d = later[lag, 0], later[lag, 1], later[lag, 2], later[lag, 3]

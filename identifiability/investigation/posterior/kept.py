@@ -56,22 +56,20 @@ class Evaluations:
         """Evaluate a model, or take it up as it was found: see `Evaluator.evaluate`."""
         within = None if nested is None else (nested.values, nested.log_likelihood)
         path = self._path(model, noise, starts, refined, scheme, least, resolved, within)
-        stored = read_arrays(path) if path is not None else None
-        if stored is not None:
-            return _again(self.evaluator, model, refined, stored)
-        found = self.evaluator.evaluate(
-            model,
-            starts,
-            refined=refined,
-            scheme=scheme,
-            noise=noise,
-            least=least,
-            resolved=resolved,
-            nested=nested,
-            begun=begun,
-        )
-        if path is not None:
-            write_arrays(path, _stored(found))
+        found = _taken_up(path, self.evaluator, model, refined)
+        if found is None:
+            found = self.evaluator.evaluate(
+                model,
+                starts,
+                refined=refined,
+                scheme=scheme,
+                noise=noise,
+                least=least,
+                resolved=resolved,
+                nested=nested,
+                begun=begun,
+            )
+            _keep(found, path)
         return found
 
     def roughly(
@@ -87,12 +85,10 @@ class Evaluations:
         if fewer is None:
             return None
         path = self._path(model, noise, starts, refined, "roughly")
-        stored = read_arrays(path) if path is not None else None
-        if stored is not None:
-            return _again(fewer, model, refined, stored)
-        found = self.evaluator.roughly(model, starts, refined=refined, noise=noise)
-        if path is not None and found is not None:
-            write_arrays(path, _stored(found))
+        found = _taken_up(path, fewer, model, refined)
+        if found is None:
+            found = self.evaluator.roughly(model, starts, refined=refined, noise=noise)
+            _keep(found, path)
         return found
 
     def _path(self, model: Model, noise: Weights | None, *how: object) -> Path | None:
@@ -102,9 +98,13 @@ class Evaluations:
         return self.folder / f"{_code()}-{question(self.identity, model, start, *how)}.npz"
 
 
-def _again(
-    evaluator: Evaluator, model: Model, refined: Sequence[str], stored: Mapping[str, np.ndarray]
-) -> Evaluated:
+def _taken_up(
+    path: Path | None, evaluator: Evaluator, model: Model, refined: Sequence[str]
+) -> Evaluated | None:
+    """A model as it was kept; None where it was not."""
+    stored = read_arrays(path) if path is not None else None
+    if stored is None:
+        return None
     plain = json.loads(str(stored["evaluated"]))
     problem = evaluator.band.problem(
         model,
@@ -118,7 +118,9 @@ def _again(
     return evaluator.evaluated(problem, stored["x"], weights, refined, sought)
 
 
-def _stored(found: Evaluated) -> dict[str, np.ndarray]:
+def _keep(found: Evaluated | None, path: Path | None) -> None:
+    if path is None or found is None:
+        return
     plain = {
         "scheme": asdict(found.scheme),
         "sought": [
@@ -126,7 +128,7 @@ def _stored(found: Evaluated) -> dict[str, np.ndarray]:
             for o, values in found.sought
         ],
     }
-    return {"evaluated": np.array(json.dumps(plain)), "x": found.x}
+    write_arrays(path, {"evaluated": np.array(json.dumps(plain)), "x": found.x})
 
 
 def _code() -> str:
