@@ -33,7 +33,8 @@ def pytest_configure(config):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         import arviz  # noqa: F401 (0.x, imported by two at once, fails once a day)
-    _compile_loops()
+    if config.option.numprocesses and not config.option.collectonly:
+        _compile_loops()
 
 
 def _compile_loops():

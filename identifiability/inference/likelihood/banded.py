@@ -122,14 +122,22 @@ def covariance(parts: Filters, n: int, beside: np.ndarray) -> tuple[np.ndarray, 
                 else:
                     rows[t, lag] += later[lag]
     if beside.size:
-        for t in range(n):
-            for lag in range(min(t, head) + 1):
-                add_filtered(rows, ar, beside, t, lag)
+        add_beside(rows, ar, beside)
     return ar, rows
 
 
 @compiled_loop
-def add_filtered(rows: np.ndarray, ar: np.ndarray, variances: np.ndarray, t: int, lag: int) -> None:
+def add_beside(rows: np.ndarray, ar: np.ndarray, variances: np.ndarray) -> None:
+    """Add noise that is independent from sample to sample to rows of a filtered covariance."""
+    for t in range(len(rows)):
+        for lag in range(min(t, ar.size - 1) + 1):
+            _add_filtered(rows, ar, variances, t, lag)
+
+
+@compiled_loop
+def _add_filtered(
+    rows: np.ndarray, ar: np.ndarray, variances: np.ndarray, t: int, lag: int
+) -> None:
     """Add the covariance of independent noise at a sample and one before it, both filtered."""
     head = ar.size - 1
     for i in range(head - lag + 1):  # of the shock's own sample behind the earlier one

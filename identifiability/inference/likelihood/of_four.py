@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from identifiability.inference.likelihood.banded import ROUNDING, Filters, add_filtered, covariance
+from identifiability.inference.likelihood.banded import ROUNDING, Filters, add_beside, covariance
 from identifiability.loops import compiled_loop
 
 
@@ -30,9 +30,7 @@ def first_rows(parts: Filters, beside: np.ndarray) -> tuple[np.ndarray, np.ndarr
     """
     ar, rows = covariance(parts, beside.size, beside[:0])
     later = rows[-1].copy()
-    for t in range(len(rows)):
-        for lag in range(min(t, ar.size - 1) + 1):
-            add_filtered(rows, ar, beside, t, lag)
+    add_beside(rows, ar, beside)
     return ar, rows, later
 
 
