@@ -20,6 +20,7 @@ FRICTION = KBI() + EFFECTS["coulomb_friction"]()
 RUBBING = JOINT | {
     "coulomb_friction.torque": 0.3,
     "coulomb_friction.velocity": 0.02,
+    "coulomb_friction.range": 2e-5,
     "coulomb_friction.breakaway": 0.0,
     "coulomb_friction.asymmetry": 0.0,
 }

@@ -156,11 +156,11 @@ def test_half_the_step_is_as_likely():
     assert moved_by_half_the_step(bench, free) < bench.rules.solver_nats
     # So sharp a limit is met too, and not because it would be met anyway.
     moved = {}
-    for limit in (0.02, np.inf):
+    for limit in (0.002, np.inf):
         rules = replace(bench.rules, solver_nats=limit)
         other = Workbench(replace(bench.split, rules=rules))
         moved[limit] = moved_by_half_the_step(other, other.fit(free.model, [free.values]))
-    assert moved[0.02] < 0.02 < moved[np.inf]
+    assert moved[0.002] < 0.002 < moved[np.inf]
 
 
 @pytest.mark.parts_fail

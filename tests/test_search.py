@@ -270,6 +270,7 @@ PENDULUM = {"K": 0.02, "B": 0.02, "I": 0.15, "gravity.moment": 3.0, "gravity.pos
 RUBS = {
     "coulomb_friction.torque": 0.15,
     "coulomb_friction.velocity": 0.05,
+    "coulomb_friction.range": 2e-5,
     "coulomb_friction.breakaway": 0.0,
     "coulomb_friction.asymmetry": 0.0,
 }

@@ -34,6 +34,7 @@ TRUTH = FRICTIONAL.vector(
         "I": I,
         "coulomb_friction.torque": FRICTION,
         "coulomb_friction.velocity": SMOOTH,
+        "coulomb_friction.range": 2e-5,
         "coulomb_friction.breakaway": 0.0,
         "coulomb_friction.asymmetry": 0.0,
     }
@@ -44,6 +45,7 @@ START = {
     "I": 0.08,
     "coulomb_friction.torque": 0.2,
     "coulomb_friction.velocity": 0.03,
+    "coulomb_friction.range": 2e-5,
     "coulomb_friction.breakaway": 0.0,
     "coulomb_friction.asymmetry": 0.0,
 }
@@ -138,13 +140,17 @@ def test_the_scheme_follows_model_parameters_and_interval():
     schemes = [Scheme.for_model(FRICTIONAL, TRUTH, dt) for dt in intervals]
     assert all(b.is_finer_than(a) for a, b in itertools.pairwise(schemes[1:]))
     assert all(s.substeps & (s.substeps - 1) == 0 for s in schemes)
-    # As fine as the step in which friction stops the joint.
+    # As fine as the step in which the contact yields, or turns the joint round as a spring.
     for scheme, dt in zip(schemes, intervals, strict=True):
         assert dt / scheme.substeps * FRICTION / (SMOOTH * I) < 1.0
-    slower = TRUTH * np.where(np.array(FRICTIONAL.parameter_names) == "I", 10.0, 1.0)
-    assert schemes[2].is_finer_than(Scheme.for_model(FRICTIONAL, slower, 5e-3))
-    # Under an imposed angle dry friction has nothing to be integrated.
-    assert Scheme.for_model(FRICTIONAL, TRUTH, 1 / 60, "angle") == Scheme(1, 2)
+    harder = TRUTH * np.where(
+        np.array(FRICTIONAL.parameter_names) == "coulomb_friction.torque", 99, 1
+    )
+    assert Scheme.for_model(FRICTIONAL, harder, 5e-3).is_finer_than(schemes[2])
+    # Under an imposed angle its contact is integrated, and nothing of a function of the velocity.
+    assert Scheme.for_model(FRICTIONAL, TRUTH, 1 / 60, "angle") == schemes[3]
+    hill = KBI() + EFFECTS["hill_force_velocity"]()
+    assert Scheme.for_model(hill, hill.nominal, 1 / 60, "angle") == Scheme(1, 2)
 
 
 @pytest.mark.parametrize("key", [k for k, kind in EFFECTS.items() if not kind.linear])

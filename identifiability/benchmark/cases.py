@@ -369,13 +369,15 @@ def _recorder(ratio: float, index: int) -> Recorder:
 
 
 def _singles() -> Iterator[Draft]:
-    for number, (key, effect) in enumerate(EFFECTS.items()):
-        for draw in range(3):
-            ratio = RATIOS[(number + draw) % 3]
-            if key in QUIET:
-                ratio = min(ratio, 1e-4)
-            form = effect.forms[draw % len(effect.forms)]
-            yield key, "known", (key,), (form,), _recorder(ratio, 3 * number + draw), 0.0
+    draws = [(key, draw) for key in EFFECTS for draw in range(3)]
+    # Forms beyond the third come last, so that they change no other case.
+    draws += [(key, d) for key, effect in EFFECTS.items() for d in range(3, len(effect.forms))]
+    for index, (key, draw) in enumerate(draws):
+        ratio = RATIOS[(list(EFFECTS).index(key) + draw) % 3]
+        if key in QUIET:
+            ratio = min(ratio, 1e-4)
+        form = EFFECTS[key].forms[draw % len(EFFECTS[key].forms)]
+        yield key, "known", (key,), (form,), _recorder(ratio, index), 0.0
 
 
 def _nulls() -> Iterator[Draft]:

@@ -42,7 +42,7 @@ class HiddenEffect(ABC):
 
     @classmethod
     @abstractmethod
-    def draw(cls, rng: np.random.Generator, anatomy: Anatomy, form: str) -> Self:
+    def draw(cls, rng: np.random.Generator, anatomy: Anatomy, form: str) -> HiddenEffect:
         """Draw parameters within their physiological ranges for a joint of this anatomy."""
 
     @abstractmethod
@@ -536,7 +536,7 @@ class CoulombFriction(HiddenEffect):
         Velocity (rad/s) over which the one goes over into the other.
     form : str
         "sign": the two are equal. "stribeck": static friction is larger. "uneven": the two are
-        equal, and larger one way than the other.
+        equal, and larger one way than the other. "bristles" is `BristleFriction`.
     uneven : float
         How much larger they are towards larger angles than on average, as a share.
     """
@@ -547,14 +547,19 @@ class CoulombFriction(HiddenEffect):
     form: str
     uneven: float = 0.0
     key = "coulomb_friction"
-    forms = ("sign", "stribeck", "uneven")
+    forms = ("sign", "stribeck", "uneven", "bristles")
 
     @classmethod
-    def draw(cls, rng: np.random.Generator, anatomy: Anatomy, form: str) -> Self:
+    def draw(cls, rng: np.random.Generator, anatomy: Anatomy, form: str) -> HiddenEffect:
         """Draw friction that can hold the joint 0.01 to 0.025 rad or more from rest."""
         sliding = rng.uniform(0.01, 0.025) * anatomy.stiffness
         static = sliding * rng.uniform(1.15, 1.5) if form == "stribeck" else sliding
         speed = rng.uniform(0.1, 0.4)
+        if form == "bristles":
+            static = sliding * rng.uniform(1.0, 1.3)
+            stiffness = sliding / rng.uniform(5e-4, 3e-3)
+            damping = rng.uniform(0.0, 0.3) * math.sqrt(stiffness * anatomy.inertia)
+            return BristleFriction(sliding, static, speed, stiffness, damping)
         uneven = 0.0
         if form == "uneven":
             uneven = rng.uniform(0.2, 0.5) * float(rng.choice([-1.0, 1.0]))
@@ -576,6 +581,49 @@ class CoulombFriction(HiddenEffect):
 
     def _one_way(self, direction: float) -> float:
         return 1.0 + self.uneven * math.copysign(1.0, direction)
+
+
+@dataclass(frozen=True)
+class BristleFriction(TorqueEffect):
+    """Dry friction of bristles that bend before they slip (Canudas de Wit & al. 1995: LuGre).
+
+    Attributes
+    ----------
+    sliding, static : float
+        Torques (Nm) while sliding fast and slowly.
+    stribeck_speed : float
+        Velocity (rad/s) over which the one goes over into the other.
+    stiffness, damping : float
+        Of the bristles (Nm/rad, Nms/rad).
+    """
+
+    sliding: float
+    static: float
+    stribeck_speed: float
+    stiffness: float
+    damping: float
+    key = CoulombFriction.key
+    forms = ("bristles",)
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator, anatomy: Anatomy, form: str) -> HiddenEffect:
+        """Draw them as one form of dry friction."""
+        return CoulombFriction.draw(rng, anatomy, form)
+
+    def scaled(self, size: float) -> Self:
+        """Scale all torques: the bristles bend as far."""
+        return self._times(size, "sliding", "static", "stiffness", "damping")
+
+    def n_states(self) -> int:  # noqa: D102
+        return 1
+
+    def react(  # noqa: D102
+        self, time: float, angle: float, velocity: float, states: Sequence[float], past: Past
+    ) -> Reaction:
+        excess = (self.static - self.sliding) * math.exp(-((velocity / self.stribeck_speed) ** 2))
+        bent = states[0]
+        rate = velocity - abs(velocity) * self.stiffness * bent / (self.sliding + excess)
+        return self.stiffness * bent + self.damping * rate, (rate,)
 
 
 @dataclass(frozen=True)
