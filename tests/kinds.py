@@ -46,7 +46,12 @@ KBI_VALUES = {"K": 50.0, "B": 2.0, "I": 0.1}
 # Values away from the plain form, and from where a response bends as a function of a parameter:
 # an asymmetry or a threshold of 0, a delay of whole samples.
 GENERIC = {
-    "coulomb_friction": {"damping": 0.005, "breakaway": 0.3, "asymmetry": 0.2},
+    "coulomb_friction": {
+        "damping": 1.0,
+        "breakaway": 0.3,
+        "breakaway_velocity": 0.2,
+        "asymmetry": 0.2,
+    },
     "cubic_stiffness": {"centre": -0.05},
     "damping_by_angle": {"middle": 0.02},
     "end_stop": {"side": 0.3, "middle": 0.01, "rounding": 0.004},

@@ -88,21 +88,23 @@ def stopped(q):
     return 140 * next(ends) - 60 * next(ends)
 
 
+def most(v):
+    return 1 + 0.5 * np.exp(-((v / 0.3) ** 2))
+
+
 def giving(v, z):
     """Rate of a contact's deflection, of which 3 mrad is the most, and the share that follows."""
     toward = np.tanh(v / 0.05)
-    yielding = (v / toward if toward else 0.05) / 0.003
+    yielding = (v / toward if toward else 0.05) / 0.003 / most(v)
     share = 1 / np.hypot(1, yielding / 1000)
     return share * (v - yielding * z[0]), share
 
 
-def held(v, z):
+def rubbed(v, z):
     rate, share = giving(v, z)
-    return np.clip((share * z[0] + 0.01 * rate) / 0.003 + (1 - share) * np.tanh(v / 0.05), -1, 1)
-
-
-def rubbed(way):
-    return way * (1 + 0.2 * way)
+    way = (share * z[0] / 0.003 + 3 * rate) / most(v) + (1 - share) * np.tanh(v / 0.05)
+    way = np.clip(way, -1, 1)
+    return most(v) * way * (1 + 0.2 * way)
 
 
 # Every effect in the joint without delay: its parameters, its number of states, its torque and the
@@ -120,12 +122,13 @@ EQUATIONS = {
             "torque": 1.0,
             "velocity": 0.05,
             "range": 0.003,
-            "damping": 0.01,
+            "damping": 3.0,
             "breakaway": 0.5,
+            "breakaway_velocity": 0.3,
             "asymmetry": 0.2,
         },
         1,
-        lambda q, v, z: rubbed(held(v, z)) * (1 + 0.5 * np.exp(-((v / 0.1) ** 2))),
+        lambda q, v, z: rubbed(v, z),
         lambda q, v, z: [giving(v, z)[0]],
     ),
     "cubic_stiffness": (
@@ -273,7 +276,7 @@ def test_friction_while_sliding_is_constant():
 
 def test_friction_dissipates_the_work_of_a_constant_torque():
     drive = imposed_motion(TIME, THERE_AND_BACK(TIME))
-    own = {"torque": 0.7, "range": 2e-4, "damping": 0.003}
+    own = {"torque": 0.7, "range": 2e-4, "damping": 15.0}
     torque = response("coulomb_friction", drive, K=0.0, B=0.0, I=1e-12, **own)
     power = torque * THERE_AND_BACK.deriv()(TIME)
     work = np.cumsum(0.5e-3 * (power[1:] + power[:-1]))

@@ -140,9 +140,10 @@ def test_the_scheme_follows_model_parameters_and_interval():
     schemes = [Scheme.for_model(FRICTIONAL, TRUTH, dt) for dt in intervals]
     assert all(b.is_finer_than(a) for a, b in itertools.pairwise(schemes[1:]))
     assert all(s.substeps & (s.substeps - 1) == 0 for s in schemes)
-    # As fine as the step in which the contact yields, or turns the joint round as a spring.
+    # As fine as the contact yields (in 1 ms), or turns the joint round as a spring.
     for scheme, dt in zip(schemes, intervals, strict=True):
-        assert dt / scheme.substeps * FRICTION / (SMOOTH * I) < 1.0
+        assert dt / scheme.substeps <= 1.5e-3
+        assert dt / scheme.substeps * np.sqrt(FRICTION / (2e-5 * I)) < 1.0
     harder = TRUTH * np.where(
         np.array(FRICTIONAL.parameter_names) == "coulomb_friction.torque", 99, 1
     )

@@ -12,7 +12,6 @@ from jax.typing import ArrayLike
 from identifiability.joint.effects.base import Effect, Motion
 from identifiability.joint.parameters import Parameter
 
-_STRIBECK_VELOCITY = 0.1  # [rad/s]
 _RATE = 1000.0  # [1/s] beyond which the contact counts as sliding steadily
 _STILL = 1e-3  # of the smoothing velocity, below which a quotient is its limit
 
@@ -20,16 +19,16 @@ _STILL = 1e-3  # of the smoothing velocity, below which a quotient is its limit
 class CoulombFriction(Effect):
     r"""Dry friction: a contact that gives a little, then slides under constant torque.
 
-    .. math:: T = F w\,(1 + a w)\,(1 + s\,e^{-(\dot\theta/0.1)^2}), \quad
-              w = \frac{z + \tau \dot z}{z_0}, \quad
-              \dot z = \dot\theta\left[1 - \frac{z}{z_0 \tanh(\dot\theta/v_0)}\right]
+    .. math:: T = F g\,w\,(1 + a w), \quad w = \frac{z}{g z_0} + \frac{d \dot z}{g}, \quad
+              \dot z = \dot\theta\left[1 - \frac{z}{g z_0 \tanh(\dot\theta/v_0)}\right], \quad
+              g = 1 + s\,e^{-(\dot\theta/v_s)^2}
 
     with w between -1 and 1. The contact's deflection z remembers which way the joint went, so at
-    rest friction holds what it held (Dahl; with the damping tau, LuGre), but for a creep at less
+    rest friction holds what it held (Dahl; with the damping d, LuGre), but for a creep at less
     than v_0. With z_0 = 0 it is F tanh(velocity / v_0); what would yield faster than in 1 ms is
     taken for that. More breaks away than slides by s (Stribeck); with a it is not the same in both
     directions: while the joint moves it feels the constant F a as well, which under an imposed
-    angle is the torque's level. tau = s = a = 0 in the plain form. It vanishes with F = 0.
+    angle is the torque's level. d = s = a = 0 in the plain form. It vanishes with F = 0.
     """
 
     key = "coulomb_friction"
@@ -71,13 +70,13 @@ class CoulombFriction(Effect):
         ),
         Parameter(
             "damping",
-            r"\tau",
-            "s",
+            "d",
+            "s/rad",
             nominal=0.0,
             lower=0.0,
-            upper=2.0,
+            upper=500.0,
             plain=0.0,
-            description="damping of the contact over its stiffness",
+            description="damping of the contact over its torque",
         ),
         Parameter(
             "breakaway",
@@ -88,6 +87,16 @@ class CoulombFriction(Effect):
             upper=2.0,
             plain=0.0,
             description="friction at breaking away over that while sliding, minus 1",
+        ),
+        Parameter(
+            "breakaway_velocity",
+            "v_s",
+            "rad/s",
+            nominal=0.1,
+            lower=0.01,
+            upper=1.0,
+            plain=0.1,
+            description="velocity over which breaking away becomes sliding",
         ),
         Parameter(
             "asymmetry",
@@ -110,30 +119,40 @@ class CoulombFriction(Effect):
         self, p: Sequence[Array], motion: Motion, states: Array, delayed: Motion
     ) -> ArrayLike:
         """Torque [Nm] against the velocity."""
-        force, smooth, give, damping, breakaway, asymmetry = p
-        share, change = self._contact(p, motion, states)
-        deflection = share * states[0] / give + (1 - share) * jnp.tanh(motion.velocity / smooth)
-        way = jnp.clip(deflection + damping * change / give, -1.0, 1.0)
-        stribeck = jnp.exp(-((jnp.asarray(motion.velocity) / _STRIBECK_VELOCITY) ** 2))
-        return force * way * (1 + asymmetry * way) * (1 + breakaway * stribeck)
+        force, smooth, give, damping, *_, asymmetry = p
+        most, share, change = self._contact(p, motion, states)
+        steady = jnp.tanh(motion.velocity / smooth)
+        way = (share * states[0] / give + damping * change) / most + (1 - share) * steady
+        way = jnp.clip(way, -1.0, 1.0)
+        return force * most * way * (1 + asymmetry * way)
 
     def rates(self, p: Sequence[Array], motion: Motion, states: Array, delayed: Motion) -> Array:
         """Deflection of the contact."""
-        return jnp.reshape(self._contact(p, motion, states)[1], (1,))
+        return jnp.reshape(self._contact(p, motion, states)[2], (1,))
 
     def pace(self, values: Mapping[str, float]) -> float:
-        """Rate at which the contact yields, or as a spring F / z_0 turns the joint round."""
-        force, _, give, _, breakaway, _ = (values[f"{self.key}.{p.name}"] for p in self.parameters)
-        return max(_RATE, math.sqrt(force * (1 + breakaway) / (give * values["I"])))
+        """Rate at which the contact yields, or turns the joint round by its spring or damper.
+
+        It yields at `_RATE` at most, of which steps of half that pace do for E = 1e-6.
+        """
+        force, _, give, damping, breakaway, *_ = (
+            values[f"{self.key}.{p.name}"] for p in self.parameters
+        )
+        most = force * (1 + breakaway) / values["I"]
+        return max(0.5 * _RATE, math.sqrt(most / give), most * damping)
 
     @staticmethod
-    def _contact(p: Sequence[Array], motion: Motion, states: Array) -> tuple[Array, Array]:
-        """Share of the yielding that is followed, and rate [rad/s] of the deflection."""
-        _, smooth, give, *_ = p
+    def _contact(p: Sequence[Array], motion: Motion, states: Array) -> tuple[Array, Array, Array]:
+        """Its torque over that while sliding, share of yielding that is followed, and rate [rad/s].
+
+        What yields is followed up to `_RATE`; beyond, the contact counts as sliding steadily.
+        """
+        _, smooth, give, _, breakaway, slow, _ = p
         velocity = jnp.asarray(motion.velocity)
+        most = 1 + breakaway * jnp.exp(-((velocity / slow) ** 2))
         ratio = velocity / smooth
         moves = jnp.abs(ratio) > _STILL
         moving = jnp.where(moves, ratio, 1.0)
-        yielding = jnp.where(moves, moving / jnp.tanh(moving), 1.0) * smooth / give
+        yielding = jnp.where(moves, moving / jnp.tanh(moving), 1.0) * smooth / (give * most)
         share = 1 / jnp.sqrt(1 + (yielding / _RATE) ** 2)
-        return share, share * (velocity - yielding * states[0])
+        return most, share, share * (velocity - yielding * states[0])
