@@ -44,9 +44,10 @@ DRIVES = {
 KBI_VALUES = {"K": 50.0, "B": 2.0, "I": 0.1}
 
 # Values away from the plain form, and from where a response bends as a function of a parameter:
-# an asymmetry or a threshold of 0, a delay of whole samples.
+# an asymmetry or a threshold of 0, a delay of whole samples; and where all of them show.
 GENERIC = {
     "coulomb_friction": {
+        "velocity": 0.05,
         "damping": 1.0,
         "breakaway": 0.3,
         "breakaway_velocity": 0.2,

@@ -103,7 +103,8 @@ def giving(v, z):
 def rubbed(v, z):
     rate, share = giving(v, z)
     way = (share * z[0] / 0.003 + 3 * rate) / most(v) + (1 - share) * np.tanh(v / 0.05)
-    way = np.clip(way, -1, 1)
+    if abs(way) > 1:
+        way = np.sign(way) * (1 + 0.2 * np.tanh(5 * (abs(way) - 1)))
     return most(v) * way * (1 + 0.2 * way)
 
 

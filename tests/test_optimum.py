@@ -27,6 +27,7 @@ SHAKEN = np.sin(2 * np.pi * 20 * TIME) + np.sin(2 * np.pi * 27 * TIME + 1)
 TOLERANCE = 0.1  # nats of the noise
 # Friction's smoothing speed is passed within a step, which leaves its cost rough.
 ROUGH = {"coulomb_friction": 0.2}
+ABRUPT = {"torque": 0.3, "velocity": 0.003, "damping": 100.0}  # of friction
 
 
 def trials(model, values, driven, noise=0.01, shape=PULSE - 0.6 * SHIFTED, seed=1):
@@ -152,15 +153,15 @@ def moved_by_half_the_step(bench, candidate):
 
 def test_half_the_step_is_as_likely():
     """Too long a step leaves ripples in the cost of a model with corners, where fits end."""
-    bench, free = fitted("coulomb_friction", "torque", {"torque": 0.3, "velocity": 0.01})
+    bench, free = fitted("coulomb_friction", "torque", ABRUPT)
     assert moved_by_half_the_step(bench, free) < bench.rules.solver_nats
     # So sharp a limit is met too, and not because it would be met anyway.
     moved = {}
-    for limit in (0.002, np.inf):
+    for limit in (0.02, np.inf):
         rules = replace(bench.rules, solver_nats=limit)
         other = Workbench(replace(bench.split, rules=rules))
         moved[limit] = moved_by_half_the_step(other, other.fit(free.model, [free.values]))
-    assert moved[0.002] < 0.002 < moved[np.inf]
+    assert moved[0.02] < 0.02 < moved[np.inf]
 
 
 @pytest.mark.parts_fail

@@ -13,7 +13,8 @@ from identifiability.joint.effects.base import Effect, Motion
 from identifiability.joint.parameters import Parameter
 
 _RATE = 1000.0  # [1/s] beyond which the contact counts as sliding steadily
-_STILL = 1e-3  # of the smoothing velocity, below which a quotient is its limit
+_BEYOND = 0.2  # of the torque, that damping adds at most; a sharper limit takes steps as short
+_STILL = 1e-3  # of the smoothing velocity, below which a quotient is its series
 
 
 class CoulombFriction(Effect):
@@ -23,12 +24,13 @@ class CoulombFriction(Effect):
               \dot z = \dot\theta\left[1 - \frac{z}{g z_0 \tanh(\dot\theta/v_0)}\right], \quad
               g = 1 + s\,e^{-(\dot\theta/v_s)^2}
 
-    with w between -1 and 1. The contact's deflection z remembers which way the joint went, so at
-    rest friction holds what it held (Dahl; with the damping d, LuGre), but for a creep at less
-    than v_0. With z_0 = 0 it is F tanh(velocity / v_0); what would yield faster than in 1 ms is
-    taken for that. More breaks away than slides by s (Stribeck); with a it is not the same in both
-    directions: while the joint moves it feels the constant F a as well, which under an imposed
-    angle is the torque's level. d = s = a = 0 in the plain form. It vanishes with F = 0.
+    with w, where it is beyond 1, limited smoothly to 1.2. The contact's deflection z remembers
+    which way the joint went, so at rest friction holds what it held (Dahl; with the damping d,
+    LuGre), but for a creep at less than v_0. With z_0 = 0 it is F tanh(velocity / v_0); what would
+    yield faster than in 1 ms is taken for that. More breaks away than slides by s (Stribeck); with
+    a it is not the same in both directions: while the joint moves it feels the constant F a as
+    well, which under an imposed angle is the torque's level. d = s = a = 0 in the plain form. It
+    vanishes with F = 0.
     """
 
     key = "coulomb_friction"
@@ -123,7 +125,8 @@ class CoulombFriction(Effect):
         most, share, change = self._contact(p, motion, states)
         steady = jnp.tanh(motion.velocity / smooth)
         way = (share * states[0] / give + damping * change) / most + (1 - share) * steady
-        way = jnp.clip(way, -1.0, 1.0)
+        beyond = way - jnp.clip(way, -1.0, 1.0)
+        way = way - beyond + _BEYOND * jnp.tanh(beyond / _BEYOND)
         return force * most * way * (1 + asymmetry * way)
 
     def rates(self, p: Sequence[Array], motion: Motion, states: Array, delayed: Motion) -> Array:
@@ -153,6 +156,7 @@ class CoulombFriction(Effect):
         ratio = velocity / smooth
         moves = jnp.abs(ratio) > _STILL
         moving = jnp.where(moves, ratio, 1.0)
-        yielding = jnp.where(moves, moving / jnp.tanh(moving), 1.0) * smooth / (give * most)
+        away = jnp.where(moves, moving / jnp.tanh(moving), 1 + ratio**2 / 3)
+        yielding = away * smooth / (give * most)
         share = 1 / jnp.sqrt(1 + (yielding / _RATE) ** 2)
         return most, share, share * (velocity - yielding * states[0])
