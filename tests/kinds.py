@@ -47,8 +47,8 @@ KBI_VALUES = {"K": 50.0, "B": 2.0, "I": 0.1}
 # an asymmetry or a threshold of 0, a delay of whole samples; and where all of them show.
 GENERIC = {
     "coulomb_friction": {
-        "velocity": 0.05,
-        "damping": 1.0,
+        "velocity": 0.07,
+        "damping": 0.5,
         "breakaway": 0.3,
         "breakaway_velocity": 0.2,
         "asymmetry": 0.2,

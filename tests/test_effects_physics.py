@@ -104,7 +104,7 @@ def rubbed(v, z):
     rate, share = giving(v, z)
     way = (share * z[0] / 0.003 + 3 * rate) / most(v) + (1 - share) * np.tanh(v / 0.05)
     if abs(way) > 1:
-        way = np.sign(way) * (1 + 0.2 * np.tanh(5 * (abs(way) - 1)))
+        way = np.sign(way) * (1 + 0.1 * np.tanh(10 * (abs(way) - 1)))
     return most(v) * way * (1 + 0.2 * way)
 
 
@@ -270,7 +270,7 @@ def test_friction_while_sliding_is_constant():
         expected = np.full(TIME.size, 0.7 * np.sign(speed) * (1 + 0.2 * np.sign(speed)))
         agree((found - K * speed * TIME - B * speed)[sliding], expected[sliding], 1e-8)
     # Where it breaks away it is larger: at 0.1 rad/s by breakaway/e.
-    own = {"torque": 0.7, "range": 2e-5, "breakaway": 0.5}
+    own = {"torque": 0.7, "velocity": 0.002, "range": 2e-5, "breakaway": 0.5}
     found = response("coulomb_friction", ramp(0.1), K=0.0, B=0.0, **own)
     agree(found[sliding], np.full(TIME.size, 0.7 * (1 + 0.5 / np.e))[sliding], 1e-9)
 

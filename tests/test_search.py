@@ -202,12 +202,12 @@ def test_a_model_is_fitted_in_the_noise_of_K_B_and_I_as_well(driven):
 
 def test_a_richer_form_that_is_worse_in_the_end_is_none():
     """What is taken up is weighed in its plain form too: the noise has changed since it lost."""
-    keys = ("coulomb_friction",)
+    keys = ("cubic_stiffness",)
     study = study_of_a_pair("torque", keys)
     weighing = Weighing(study._evaluator(1), keys)
-    model = KBI() + EFFECTS["coulomb_friction"]()
-    start = nested_values(model, JOINT) | {"coulomb_friction.torque": 0.1}
-    astray = start | {"coulomb_friction.breakaway": 0.9, "coulomb_friction.asymmetry": -0.6}
+    model = KBI() + EFFECTS["cubic_stiffness"]()
+    start = nested_values(model, JOINT)
+    astray = start | {"cubic_stiffness.centre": 0.15}
     assert len(list(weighing.weigh([Job(KBI(), [nested_values(KBI(), JOINT)])]))) == 1
     evaluated = study._evaluator(1).evaluate
     plain = evaluated(model, [start])

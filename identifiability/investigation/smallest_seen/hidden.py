@@ -186,13 +186,18 @@ class Hidden:
             x = changed.free_vector(values)
             raw, _ = raw_residuals(changed, self._evaluator.band, x)
             own = self._evaluator.reference.weights(raw, tried)
-            # A draw of the noise moves the best fit of both.
-            smaller, larger = (
-                self._evaluator.settled(
-                    problem, starts, own, known.refined, also=known.weights.contenders
-                )
-                for problem, starts in ((without, points), (changed, x[None]))
+            smaller = self._evaluator.settled(
+                without, points, own, known.refined, also=known.weights.contenders
             )
+            # A draw of the noise moves its best fit too; and what the compared band does not have
+            # of its corners colours what it leaves.
+            if self._has_corners:
+                larger = self._evaluator.settled(
+                    changed, x[None], own, known.refined, also=known.weights.contenders
+                )
+            else:
+                x = self._evaluator.fitted(changed, x[None], own)
+                larger = self._evaluator.evaluated(changed, x, own, known.refined, tried)
         except (ValueError, np.linalg.LinAlgError):
             return None
         gain = self._odds(smaller, larger)

@@ -13,7 +13,7 @@ from identifiability.joint.effects.base import Effect, Motion
 from identifiability.joint.parameters import Parameter
 
 _RATE = 1000.0  # [1/s] beyond which the contact counts as sliding steadily
-_BEYOND = 0.2  # of the torque, that damping adds at most; a sharper limit takes steps as short
+_BEYOND = 0.1  # of the torque, that damping adds at most; a sharper limit takes steps as short
 _STILL = 1e-3  # of the smoothing velocity, below which a quotient is its series
 
 
@@ -24,7 +24,7 @@ class CoulombFriction(Effect):
               \dot z = \dot\theta\left[1 - \frac{z}{g z_0 \tanh(\dot\theta/v_0)}\right], \quad
               g = 1 + s\,e^{-(\dot\theta/v_s)^2}
 
-    with w, where it is beyond 1, limited smoothly to 1.2. The contact's deflection z remembers
+    with w, where it is beyond 1, limited smoothly to 1.1. The contact's deflection z remembers
     which way the joint went, so at rest friction holds what it held (Dahl; with the damping d,
     LuGre), but for a creep at less than v_0. With z_0 = 0 it is F tanh(velocity / v_0); what would
     yield faster than in 1 ms is taken for that. More breaks away than slides by s (Stribeck); with
@@ -54,7 +54,7 @@ class CoulombFriction(Effect):
             "velocity",
             "v_0",
             "rad/s",
-            nominal=0.003,
+            nominal=0.03,
             lower=1e-5,
             upper=0.3,
             description="velocity over which friction reverses",
@@ -96,7 +96,7 @@ class CoulombFriction(Effect):
             "rad/s",
             nominal=0.1,
             lower=0.01,
-            upper=1.0,
+            upper=0.5,
             plain=0.1,
             description="velocity over which breaking away becomes sliding",
         ),
