@@ -33,7 +33,7 @@ JOINT = {"K": 30.0, "B": 0.8, "I": 0.1}
 FAST: dict[str, dict[str, float]] = {
     "activation_lag": {"gain": 50.0, "time_constant": 0.005, "off_ratio": 3.0},
     "backlash": {"stiffness": 2000.0, "gap": 0.003, "share": 0.1},
-    "coulomb_friction": {"torque": 0.3, "velocity": 0.002},
+    "coulomb_friction": {"torque": 0.3, "velocity": 0.002, "range": 1e-4, "damping": 100.0},
     "cubic_stiffness": {"coefficient": 2000.0},
     "damping_by_angle": {"difference": 1.5, "width": 0.002},
     "damping_by_direction": {"difference": 0.7, "velocity": 0.002},
