@@ -310,7 +310,8 @@ def test_a_model_is_integrated_as_finely_as_telling_it_from_others_asks(monkeypa
     torque = 6.0 * np.sign(np.sin(2 * np.pi * 2.5 * time)) * (time > 0.1)
     model = KBI() + EFFECTS["coulomb_friction"]()
     nominal = dict(zip(model.parameter_names, model.nominal, strict=True))
-    values = nominal | START | {"coulomb_friction.torque": 1.0, "coulomb_friction.range": 1e-4}
+    rubbing = {"torque": 1.0, "velocity": 0.003, "range": 1e-4}
+    values = nominal | START | {f"coulomb_friction.{name}": v for name, v in rubbing.items()}
     angle = simulate(model, model.vector(values), SampledTorque(torque).drive(time))
     angle = angle + 3e-6 * random.standard_normal(time.size)
     trial = Trial(time, torque, angle, driven="torque", name="dry")
