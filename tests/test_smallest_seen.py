@@ -118,7 +118,6 @@ DRAWS = 20
 
 # As they came out. Of 76 bounds at 5 %, four are out by chance alone where every row is right.
 FAR = {
-    ("coulomb_friction", "torque"): "15 of 20 at the stated size, 0 of 20 at a third",
     ("stretch_reflex", "torque"): "20 of 20 at the stated size, 5 of 20 at a third",
     # Some torque of the angle, or with hysteresis, is nearly as probable, whatever the size.
     ("gravity", "angle"): "20 of 20 at the stated size, 12 of 20 at a third",
