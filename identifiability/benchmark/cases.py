@@ -372,12 +372,12 @@ def _singles() -> Iterator[Draft]:
     draws = [(key, draw) for key in EFFECTS for draw in range(3)]
     # Forms beyond the third come last, so that they change no other case.
     draws += [(key, d) for key, effect in EFFECTS.items() for d in range(3, len(effect.forms))]
+    numbers = {key: number for number, key in enumerate(EFFECTS)}
     for index, (key, draw) in enumerate(draws):
-        ratio = RATIOS[(list(EFFECTS).index(key) + draw) % 3]
+        forms, ratio = EFFECTS[key].forms, RATIOS[(numbers[key] + draw) % 3]
         if key in QUIET:
             ratio = min(ratio, 1e-4)
-        form = EFFECTS[key].forms[draw % len(EFFECTS[key].forms)]
-        yield key, "known", (key,), (form,), _recorder(ratio, index), 0.0
+        yield key, "known", (key,), (forms[draw % len(forms)],), _recorder(ratio, index), 0.0
 
 
 def _nulls() -> Iterator[Draft]:
