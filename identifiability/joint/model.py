@@ -214,16 +214,22 @@ class Model:
         Under an imposed angle only the internal states are integrated, the limb behind a coupling
         among them.
         """
-        inner = [
-            e for e in self.effects if e.has_memory or (e.place == "muscle" and self._has_tendon)
-        ]
-        moves = imposed == "torque" or self._coupling is not None
+        chosen = self.effects
+        if not self._moves(imposed):
+            chosen = tuple(e for e in self._inner if not e.settling(values))
         try:
-            chosen = self.effects if moves else inner
             paces = [abs(effect.pace(values)) for effect in chosen]
         except (ArithmeticError, ValueError):
             return math.inf  # of parameters that no joint has
         return float(np.nan_to_num(max(paces, default=0.0), nan=np.inf))
+
+    def settling(self, values: Mapping[str, float], imposed: Imposed = "torque") -> float:
+        """Fastest rate [1/s] at which states settle that take no other steps than stable ones.
+
+        See `Effect.settling`; there are none where the joint moves by its own dynamics.
+        """
+        rates = [e.settling(values) for e in self._inner if not self._moves(imposed)]
+        return max(rates, default=0.0)
 
     @property
     def n_internal(self) -> int:
@@ -356,6 +362,16 @@ class Model:
     @property
     def _coupling(self) -> Effect | None:
         return next((effect for effect in self.effects if effect.place == "coupling"), None)
+
+    @property
+    def _inner(self) -> tuple[Effect, ...]:
+        """Effects that take part in the rates of internal states."""
+        tendon = self._has_tendon
+        return tuple(e for e in self.effects if e.has_memory or (e.place == "muscle" and tendon))
+
+    def _moves(self, imposed: Imposed) -> bool:
+        """Whether inertia is among what is integrated."""
+        return imposed == "torque" or self._coupling is not None
 
     @property
     def _n_between(self) -> int:

@@ -15,6 +15,8 @@ from identifiability.joint.model import Imposed, Model
 _SECOND, _FOURTH = 0.1, 0.75
 """Radians or e-folds of the fastest change in one step, at which dry friction, the least smooth of
 the effects, is integrated to E = 1e-5 by the second-order scheme and to 1e-6 by the fourth."""
+_SECOND_STABLE, _FOURTH_STABLE = 2.0, 2.75
+"""E-folds of what settles in one step, from which on Runge-Kutta steps are not stable."""
 _MOST_SECOND = 4  # steps of second order, from which on fewer of fourth order are quicker
 
 SHARE, LEAST, MOST = 0.1, 1e-7, 1e-5
@@ -78,9 +80,12 @@ class Scheme:
             return EXACT
         values = dict(zip(model.parameter_names, map(float, np.asarray(theta)), strict=True))
         turned = model.pace(values, imposed) * interval
-        if turned <= _SECOND * _MOST_SECOND and not curved:
-            return cls(_power_of_two(turned / _SECOND), 2)
-        return cls(min(_power_of_two(turned / _FOURTH), MOST_SUBSTEPS), 4)
+        settled = model.settling(values, imposed) * interval
+        second = max(turned / _SECOND, settled / _SECOND_STABLE)
+        if second <= _MOST_SECOND and not curved:
+            return cls(_power_of_two(second), 2)
+        fourth = max(turned / _FOURTH, settled / _FOURTH_STABLE)
+        return cls(min(_power_of_two(fourth), MOST_SUBSTEPS), 4)
 
     @property
     def exact(self) -> bool:

@@ -243,6 +243,24 @@ class Effect(ABC):
         """
         return 0.0
 
+    def settling(self, values: Mapping[str, float]) -> float:
+        """Fastest rate at which the effect's own states settle, where that bounds its steps.
+
+        Under an imposed angle, states that are linear in themselves ask for no more than steps that
+        are stable; these then follow from this rate, and no longer from `pace`.
+
+        Parameters
+        ----------
+        values : mapping of str to float
+            All parameters of the model by their full names.
+
+        Returns
+        -------
+        float
+            In 1/s; 0 where the steps follow from `pace`.
+        """
+        return 0.0
+
     @property
     def kind(self) -> Literal["physics", "measurement"]:
         """Whether the effect is in the joint or in the instruments."""

@@ -144,6 +144,10 @@ class CoulombFriction(Effect):
         most = force * (1 + breakaway) / values["I"]
         return max(0.5 * _RATE, math.sqrt(most / give), most * damping)
 
+    def settling(self, values: Mapping[str, float]) -> float:
+        """Rate at which the contact yields at most; how it yields, the velocity alone says."""
+        return _RATE
+
     @staticmethod
     def _contact(p: Sequence[Array], motion: Motion, states: Array) -> tuple[Array, Array, Array]:
         """Its torque over that while sliding, share of yielding that is followed, and rate [rad/s].
