@@ -326,9 +326,8 @@ def test_the_colour_is_found(rho):
     assert noise.converged
 
 
-def test_noise_is_sought_from_two_colours():
-    """From one alone the likeliest noise of what a poor model leaves is missed, here or there."""
-    rng = np.random.default_rng(1)
+def left_by_a_poor_model(seed):
+    rng = np.random.default_rng(seed)
     time = 0.002 * np.arange(400)
     left = []
     for length in rng.uniform(0.02, 0.2, 6):
@@ -342,18 +341,28 @@ def test_noise_is_sought_from_two_colours():
     stretches = [Stretch(one / size, np.zeros((400, 0)), i) for i, one in enumerate(left)]
     came_in = carried.by_admittance(np.array([30.0, 1.0, 0.1]), 0.002)
     came_in = replace(came_in, sd=1 / np.sqrt(came_in.autocovariance(0)[0]))
-    sample = _Sample(stretches, came_in)
+    return _Sample(stretches, came_in)
 
-    def costs(order):
-        fits = [sample.fitted(order, one, restricted=False) for one in sample.starts(order)]
-        return [cost for _, cost, _ in fits]
 
-    nearly_white, coloured = costs(Order(2, 1, True))
-    assert nearly_white < coloured - 10
-    nearly_white, coloured = costs(Order(3, 3, True))
-    assert coloured < nearly_white - 100
-    best = sample.ranked([Contender(Order(2, 1, True)), Contender(Order(3, 3, True))])[0]
-    assert sample.cost(best.order, best.values, restricted=False) == pytest.approx(coloured)
+def test_noise_is_sought_from_two_colours():
+    """From one alone the likeliest noise of what a poor model leaves is missed, here or there."""
+    ahead = []
+    for seed in range(1, 7):
+        sample = left_by_a_poor_model(seed)
+
+        def costs(order, sample=sample):
+            fits = [sample.fitted(order, one, restricted=False) for one in sample.starts(order)]
+            return [cost for _, cost, _ in fits]
+
+        nearly_white, coloured = costs(Order(2, 1, True))
+        ahead.append(coloured - nearly_white)
+        nearly_white, coloured = costs(Order(3, 3, True))
+        assert coloured < nearly_white - 100
+        best = sample.ranked([Contender(Order(2, 1, True)), Contender(Order(3, 3, True))])[0]
+        cost = sample.cost(best.order, best.values, restricted=False)
+        assert cost == pytest.approx(coloured)
+    # A descent ends here or there by its rounding, which differs between processors.
+    assert max(ahead) > 10
 
 
 def test_restricted_likelihood_does_not_make_slow_noise_faster():
