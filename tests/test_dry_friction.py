@@ -15,15 +15,15 @@ from identifiability.measurement.trials import Trial
 ANATOMY = Anatomy(0.1, 5.0, 0.25, 25.0, 0.75)
 BRISTLES = BristleFriction(0.4, 0.45, 0.2, stiffness=400.0, damping=0.2)  # which give by 1 mrad
 KEYS = ("coulomb_friction", "short_range_stiffness", "soft_coupling")
-RATE, SECONDS, HOLD = 500, 4, 0.25
+RATE, HOLD = 500, 0.25
 NOISE = 0.005  # of the response
 
 
-def record(friction, driven, seed=1):
+def record(friction, driven, seconds=2, seed=1):
     """Random levels that are held for a while, of torque or angle."""
     rng = np.random.default_rng(seed)
-    joint, time = Joint(ANATOMY, (friction,)), np.arange(RATE * SECONDS) / RATE
-    onsets = np.arange(0.2, SECONDS - HOLD, HOLD)
+    joint, time = Joint(ANATOMY, (friction,)), np.arange(RATE * seconds) / RATE
+    onsets = np.arange(0.2, seconds - HOLD, HOLD)
     if driven == "torque":
         levels = rng.uniform(-4.0, 4.0, onsets.size)
         knots = np.sort(np.r_[onsets, onsets + 0.03])
@@ -60,7 +60,7 @@ def test_a_contact_that_gives_is_friction_and_no_cuff(driven):
 @pytest.mark.parametrize("driven", ["torque", "angle"])
 def test_as_a_function_of_the_velocity_alone_it_would_not_be(driven):
     alone = {"coulomb_friction.range": (2e-5, 2.1e-5), "coulomb_friction.velocity": (0.02, 0.3)}
-    trial, model = record(BRISTLES, driven), KBI() + EFFECTS["coulomb_friction"]()
+    trial, model = record(BRISTLES, driven, seconds=4), KBI() + EFFECTS["coulomb_friction"]()
     giving, rigid = (
         Investigation([trial], bounds=bounds).fit(model, refined=True).fitted.error
         for bounds in ({}, alone)
@@ -72,7 +72,7 @@ def test_as_a_function_of_the_velocity_alone_it_would_not_be(driven):
 def test_friction_that_reverses_at_once_holds_what_it_held():
     """Its angle is held by a servo that creeps to each level, ever more slowly."""
     friction = CoulombFriction(0.4, 0.4, 0.2, "sign")
-    _, found = weighed(record(friction, "angle"), ("coulomb_friction",))
+    _, found = weighed(record(friction, "angle", seconds=4), ("coulomb_friction",))
     assert found.present("coulomb_friction") > 0.99
     torque = found.sets["coulomb_friction",].candidate.values["coulomb_friction.torque"]
     assert torque == pytest.approx(0.4, rel=0.1)
