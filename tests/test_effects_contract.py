@@ -244,6 +244,41 @@ def test_it_vanishes_at_its_null_values(effect, driven):
     np.testing.assert_allclose(errors[1] / errors[2], 3.0, rtol=0.1)
 
 
+SETTLING = [key for key, kind in KINDS.items() if kind().settling(dict.fromkeys("KBI", 1.0))]
+
+
+@pytest.mark.parametrize("key", SETTLING)
+def test_states_settle_as_slowly_as_is_said(key):
+    """They are linear in themselves, and no step that follows from their rate is unstable."""
+    effect, rng = KINDS[key](), np.random.default_rng(3)
+    lower, upper = (
+        np.array([getattr(p, end) for p in effect.parameters]) for end in ("lower", "upper")
+    )
+
+    def slopes_at(theta, velocity, states):
+        motion = Motion(0.0, velocity)
+        return jax.jacfwd(lambda z: effect.rates(theta, motion, z, motion))(states)
+
+    quick, most = jax.jit(slopes_at), 0.0
+    for _ in range(500):
+        theta = lower + (upper - lower) * rng.uniform(0, 1, lower.size) ** 4
+        velocity = rng.choice([-1, 1]) * 10 ** rng.uniform(-5, 2)
+        one, other = (
+            np.asarray(quick(theta, velocity, size * rng.standard_normal(effect.n_states)))
+            for size in (1e-4, 1.0)
+        )
+        np.testing.assert_allclose(one, other, rtol=1e-9)
+        paces = -np.linalg.eigvals(one).real
+        assert np.all(paces >= 0)
+        most = max(most, float(np.max(paces)))
+    values = dict.fromkeys("KBI", 1.0)
+    assert 0.5 * effect.settling(values) < most <= effect.settling(values)
+
+
+def test_some_effect_settles_so():
+    assert SETTLING
+
+
 # Derivatives are taken of few models, of several effects each, for they take long to compile.
 def _team(key):
     if key in IN_PIECES:
