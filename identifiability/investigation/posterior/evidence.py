@@ -54,6 +54,8 @@ _PROMISE = 10.0  # times what the last round brought, that all rounds more may b
 _SOLVER = 1.0  # squared error of the integration, all samples together, over the noise's
 _NEAR_END = 0.1  # nats, twice, that a fit's next step would bring where it ends
 _MISSED = 0.5  # nats by which a model may be less likely than one that it contains
+# Steps a sample, of at most 0.75 rad each, that follow what swings at half the sampling rate, twice.
+_SHOWN = 8
 _CARRIED = 2  # starts that a fit is carried on from
 # Standard deviations of the sum of squares that what is taken off for noise of an imposed angle,
 # beyond what is at the reference, has to exceed: only what is beyond counts.
@@ -241,10 +243,12 @@ class Evaluator:
             if nested.scheme.is_finer_than(problem.integration):
                 problem = problem.with_scheme(nested.scheme)
             found = self.settled(problem, start, nested.weights, refined, rounds=1, further=0)
-            # Nor could it in steps that do not resolve what the other has exactly.
+            # Nor could it in steps that do not resolve what the other has exactly. What takes more
+            # is too fast for its samples to show, such as a link that as good as does not give.
             while (
                 found.log_likelihood < nested.log_likelihood - _MISSED
                 and (finer := self._finer(problem, found)) is not None
+                and finer.substeps <= _SHOWN
             ):
                 problem = problem.with_scheme(finer)
                 found = self.settled(problem, start, nested.weights, refined, rounds=1, further=0)
