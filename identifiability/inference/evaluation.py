@@ -420,7 +420,7 @@ def _products(
     """Inner products of whitened residuals and their derivatives at a point."""
     for i in range(free.size):
         theta[free[i]] = x[i]
-    run(address, plan, theta, response, response)
+    run(address, plan, theta, 0, response, 0, response, 0)
     _compare(response, what, theta, lanes, white, out)
 
 

@@ -54,7 +54,7 @@ _PROMISE = 10.0  # times what the last round brought, that all rounds more may b
 _SOLVER = 1.0  # squared error of the integration, all samples together, over the noise's
 _NEAR_END = 0.1  # nats, twice, that a fit's next step would bring where it ends
 _MISSED = 0.5  # nats by which a model may be less likely than one that it contains
-# Steps a sample, of at most 0.75 rad each, that follow what swings at half the sampling rate, twice.
+# Steps a sample, of 0.75 rad each, that follow what swings at half the sampling rate, twice over.
 _SHOWN = 8
 _CARRIED = 2  # starts that a fit is carried on from
 # Standard deviations of the sum of squares that what is taken off for noise of an imposed angle,

@@ -21,14 +21,27 @@ _BYTES = ir.IntType(8).as_pointer()
 
 
 @cast(Callable[..., Any], intrinsic)
-def run(typing: Any, address: Any, one: Any, two: Any, three: Any, four: Any) -> Any:
-    """Call the code at an address with where the data of four arrays begin."""
-    signature = types.void(types.intp, one, two, three, four)
+def run(
+    typing: Any,
+    address: Any,
+    given: Any,
+    states: Any,
+    i: Any,
+    pasts: Any,
+    j: Any,
+    outs: Any,
+    k: Any,
+) -> Any:
+    """Call the code at an address with a row of numbers, and a matrix of each of three arrays."""
+    which = types.intp
+    signature = types.void(which, given, states, which, pasts, which, outs, which)
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         kind = ir.FunctionType(ir.VoidType(), [_BYTES] * 4)
         function = builder.inttoptr(args[0], kind.as_pointer())
-        places = _places(context, builder, signature.args[1:], args[1:])
+        places = _places(context, builder, signature.args[1:2], args[1:2])
+        for a in (2, 4, 6):
+            places.append(_part(context, builder, signature.args[a], args[a], args[a + 1]))
         builder.call(function, [builder.bitcast(place, _BYTES) for place in places])
         return context.get_dummy_value()
 
@@ -49,26 +62,45 @@ def place(typing: Any, address: Any) -> Any:
 @cast(Callable[..., Any], intrinsic)
 def add_product(
     typing: Any,
+    bases: Any,
     base: Any,
-    matrix: Any,
+    matrices: Any,
     slopes: Any,
     entries: Any,
+    matrix: Any,
+    vectors: Any,
     vector: Any,
+    outs: Any,
     out: Any,
     first: Any,
 ) -> Any:
     """Add the product of a matrix and a vector to a vector, from an entry on.
 
     ``out[i, t] = base[i, t] + matrix[i, k] vector[k, t] + slopes[i, k, t] vector[k, 0]``, for
-    contiguous arrays; `base` may be `out`, `vector` not. `entries` lists which
-    entries there are, see `duals.list_entries`: most are 0, others move with few parameters.
+    the matrices of these numbers in contiguous arrays, whose last axes are these; `base` may be
+    `out`, `vector` not. `entries` lists which entries there are, see `duals.list_entries`: most
+    are 0, others move with few parameters.
     """
-    signature = types.void(base, matrix, slopes, entries, vector, out, types.intp)
+    which = types.intp
+    signature = types.void(
+        bases, which, matrices, slopes, entries, which, vectors, which, outs, which, which
+    )
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        n, width = _shape(context, builder, signature.args[4], args[4])
-        b, a, da, e, x, y = _places(context, builder, signature.args[:6], args[:6])
-        ends, blocks = (args[6], n, _number(1)), (_number(0), width, _number(LANES))
+        kinds = signature.args
+        n, width = _shape(context, builder, kinds[6], args[6])[-2:]
+        b, a, da, e, x, y = (
+            _part(context, builder, kinds[array], args[array], args[number], axes)
+            for array, number, axes in (
+                (0, 1, 2),
+                (2, 5, 2),
+                (3, 5, 3),
+                (4, 5, 3),
+                (6, 7, 2),
+                (8, 9, 2),
+            )
+        )
+        ends, blocks = (args[10], n, _number(1)), (_number(0), width, _number(LANES))
         total = cgutils.alloca_once(builder, ir.VectorType(ir.DoubleType(), LANES))
 
         def add(one: Any, other: Any) -> None:
@@ -133,14 +165,19 @@ def add_forced(typing: Any, forced: Any, given: Any, out: Any, first: Any) -> An
 
 
 @cast(Callable[..., Any], intrinsic)
-def add_rows(typing: Any, one: Any, other: Any, out: Any, first: Any) -> Any:
-    """Sum of two contiguous arrays of one shape (n, width) into a third, from a row on."""
-    signature = types.void(one, other, out, types.intp)
+def add_rows(
+    typing: Any, ones: Any, one: Any, others: Any, other: Any, outs: Any, out: Any, first: Any
+) -> Any:
+    """Sum of two matrices of contiguous arrays, shape (n, width), into a third, from a row on."""
+    which = types.intp
+    signature = types.void(ones, which, others, which, outs, which, which)
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        n, width = _shape(context, builder, signature.args[2], args[2])
-        a, b, y = _places(context, builder, signature.args[:3], args[:3])
-        start, end = builder.mul(args[3], width), builder.mul(n, width)
+        n, width = _shape(context, builder, signature.args[4], args[4])[-2:]
+        a, b, y = (
+            _part(context, builder, signature.args[k], args[k], args[k + 1]) for k in (0, 2, 4)
+        )
+        start, end = builder.mul(args[6], width), builder.mul(n, width)
         with cgutils.for_range_slice(builder, start, end, _number(LANES)) as (t, _):
             total = builder.fadd(_read(builder, a, t), _read(builder, b, t))
             _write(builder, y, t, total)
@@ -151,16 +188,36 @@ def add_rows(typing: Any, one: Any, other: Any, out: Any, first: Any) -> Any:
 
 @cast(Callable[..., Any], intrinsic)
 def copy_row(typing: Any, source: Any, i: Any, out: Any, j: Any) -> Any:
-    """Row `i` of a contiguous array to row `j` of another of the same width."""
+    """Row `i` of a contiguous array to row `j` of another of the same width, of whatever axes."""
     signature = types.void(source, types.intp, out, types.intp)
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        _, width = _shape(context, builder, signature.args[2], args[2])
+        width = _shape(context, builder, signature.args[2], args[2])[-1]
         x, y = _places(context, builder, signature.args[0::2], args[0::2])
         from_, to = builder.mul(args[1], width), builder.mul(args[3], width)
         blocks = (_number(0), width, _number(LANES))
         with cgutils.for_range_slice(builder, *blocks) as (t, _):
             _write(builder, y, builder.add(to, t), _read(builder, x, builder.add(from_, t)))
+        return context.get_dummy_value()
+
+    return signature, generate
+
+
+@cast(Callable[..., Any], intrinsic)
+def add_scaled(typing: Any, source: Any, i: Any, factor: Any, out: Any, j: Any) -> Any:
+    """Add row `i` of a contiguous array, times a factor, to row `j` of another; see `copy_row`."""
+    signature = types.void(source, types.intp, types.float64, out, types.intp)
+
+    def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        width = _shape(context, builder, signature.args[3], args[3])[-1]
+        x, y = _places(context, builder, signature.args[0::3], args[0::3])
+        from_, to = builder.mul(args[1], width), builder.mul(args[4], width)
+        blocks, factor = (_number(0), width, _number(LANES)), spread(builder, args[2])
+        with cgutils.for_range_slice(builder, *blocks) as (t, _):
+            target = builder.add(to, t)
+            total = _read(builder, y, target)
+            more = _read(builder, x, builder.add(from_, t))
+            _write(builder, y, target, _plus(builder, total, factor, more))
         return context.get_dummy_value()
 
     return signature, generate
@@ -186,6 +243,17 @@ def _plus(builder: Any, total: Any, one: Any, other: Any) -> Any:
 def _shape(context: Any, builder: Any, kind: Any, array: Any) -> list[Any]:
     shape = context.make_array(kind)(context, builder, array).shape
     return [builder.extract_value(shape, i) for i in range(kind.ndim)]
+
+
+def _part(context: Any, builder: Any, kind: Any, array: Any, number: Any, axes: int = 2) -> Any:
+    """Where the data of one of the parts begin that the last axes of a contiguous array make.
+
+    Of an array that is a view of another, the compiler would count the views, at every step.
+    """
+    (data,) = _places(context, builder, [kind], [array])
+    for size in _shape(context, builder, kind, array)[-axes:]:
+        number = builder.mul(number, size)
+    return builder.gep(data, [number])
 
 
 def _places(context: Any, builder: Any, kinds: Any, arrays: Any) -> list[Any]:

@@ -134,7 +134,7 @@ def exact(machine: Machine, imposed: Imposed, by: Propagator, out: np.ndarray) -
             if imposed.impulses[k] != 0.0:
                 over_inertia(machine, imposed.impulses[k], state[1])
             copy_row(state, 0, out, k)
-        add_product(nothing, by.onward, by.slopes, by.entries, state, moved, first)
+        add_product(nothing, 0, by.onward, by.slopes, by.entries, 0, state, 0, moved, 0, first)
         add_forced(by.forced, imposed.states[k], moved, first)
         state, moved = moved, state
 

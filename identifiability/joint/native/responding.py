@@ -92,7 +92,7 @@ class _Sizes(NamedTuple):
 def _machine(sizes: _Sizes, theta: np.ndarray) -> Machine:
     n = sizes.n_states
     rest = np.zeros((n * n + sizes.n_delays + 1, sizes.width))
-    run(sizes.still, theta, rest, rest, rest)
+    run(sizes.still, theta, rest, 0, rest, 0, rest, 0)
     return Machine(
         sizes.moving,
         sizes.turning,

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from identifiability.joint.native.calls import add_product, add_rows, copy_row, run
+from identifiability.joint.native.calls import add_product, add_rows, add_scaled, copy_row, run
 from identifiability.joint.native.duals import (
     added,
     list_entries,
@@ -40,20 +40,26 @@ _FROM_START = np.array([(1, 5), (2, 5), (2, 6)])
 @compiled_loop
 def _react(
     machine: Machine,
-    state: np.ndarray,
-    past: np.ndarray,
+    states: np.ndarray,
+    i: int,
+    pasts: np.ndarray,
+    j: int,
     applied: float,
     given: np.ndarray,
-    out: np.ndarray,
+    outs: np.ndarray,
+    k: int,
 ) -> None:
-    """Torque, acceleration and rates of the internal states, shape (2 + n_internal, width)."""
-    first, n, n_past = machine.theta.size, state.shape[0], past.shape[0]
-    for j in range(n):
-        given[first + j] = state[j, 0]
-    for j in range(n_past):
-        given[first + n + j] = past[j, 0]
+    """Torque, acceleration and rates of the internal states, shape (2 + n_internal, width).
+
+    Of the state `i` and past motions `j`, into the matrix `k` of `outs`.
+    """
+    first, n, n_past = machine.theta.size, states.shape[1], pasts.shape[1]
+    for s in range(n):
+        given[first + s] = states[i, s, 0]
+    for s in range(n_past):
+        given[first + n + s] = pasts[j, s, 0]
     given[first + n + n_past] = applied
-    run(machine.moving, given, state, past, out)
+    run(machine.moving, given, states, i, pasts, j, outs, k)
 
 
 class Scheme(NamedTuple):
@@ -148,23 +154,22 @@ def _slot(place: float, ends_step: bool) -> int:
 
 @compiled_loop
 def _hermite(
-    s: float,
-    step: float,
-    y0: np.ndarray,
-    d0: np.ndarray,
-    y1: np.ndarray,
-    d1: np.ndarray,
-    out: np.ndarray,
+    s: float, step: float, history: np.ndarray, slot: int, of: int, out: np.ndarray, into: int
 ) -> float:
-    """Cubic through two values and slopes at the fraction `s` of a step; its slope in time."""
-    a, b = (1.0 + 2.0 * s) * (1.0 - s) ** 2, step * s * (1.0 - s) ** 2
-    c, d = s**2 * (3.0 - 2.0 * s), step * s**2 * (s - 1.0)
-    for t in range(out.size):
-        out[t] = a * y0[t] + b * d0[t] + c * y1[t] + d * d1[t]
+    """Cubic through what a step began and ended with, to a row of 0; its slope in time.
+
+    At the fraction `s` of the step, through the entry `of` of its history and the one after, the
+    slope, and through the third and fourth from there.
+    """
+    first = slot * history.shape[1] + of
+    add_scaled(history, first, (1.0 + 2.0 * s) * (1.0 - s) ** 2, out, into)
+    add_scaled(history, first + 1, step * s * (1.0 - s) ** 2, out, into)
+    add_scaled(history, first + 3, s**2 * (3.0 - 2.0 * s), out, into)
+    add_scaled(history, first + 4, step * s**2 * (s - 1.0), out, into)
     return (
-        6.0 * s * (s - 1.0) * (y0[0] - y1[0]) / step
-        + (1.0 - s) * (1.0 - 3.0 * s) * d0[0]
-        + s * (3.0 * s - 2.0) * d1[0]
+        6.0 * s * (s - 1.0) * (history[slot, of, 0] - history[slot, of + 3, 0]) / step
+        + (1.0 - s) * (1.0 - 3.0 * s) * history[slot, of + 1, 0]
+        + s * (3.0 * s - 2.0) * history[slot, of + 4, 0]
     )
 
 
@@ -190,72 +195,77 @@ def _recall(
     index: int,
     step: float,
     place: int,
-    state: np.ndarray,
+    states: np.ndarray,
     room: np.ndarray,
-    out: np.ndarray,
+    pasts: np.ndarray,
 ) -> None:
-    """Motions a delay ago, shape (2 n_delays, width): see `integrator._recall`.
+    """Motions a delay ago, shape (2 n_delays, width), of a place: see `integrator._recall`.
 
     With `room` for three motions, which is not taken anew at every step.
     """
-    width = state.shape[1]
+    n_past, width = pasts.shape[1], states.shape[2]
     start, end, motion = room[0], room[1], room[2]
     for k in range(machine.delays.shape[0]):
         time = (index + 0.5 * place) * step - machine.delays[k, 0]
-        angle, velocity = out[2 * k], out[2 * k + 1]
+        angle, velocity = place * n_past + 2 * k, place * n_past + 2 * k + 1
         for t in range(width):
-            angle[t] = velocity[t] = 0.0
+            pasts[place, 2 * k, t] = pasts[place, 2 * k + 1, t] = 0.0
         slope = bend = 0.0
         slot = _slot(time / (imposed.interval if imposed.angle else step), place == 2)
         if imposed.angle:
             known = max(0, min(slot, imposed.states.shape[0] - 2))
             signal(imposed, known, 0, start)
             if slot < 0:
-                angle[0] = start[0]
+                pasts[place, 2 * k, 0] = start[0]
             else:
                 signal(imposed, known, imposed.signals.shape[0] - 1, end)
                 _quintic(time / imposed.interval - known, imposed.interval, start, end, motion)
-                angle[0], velocity[0], slope, bend = motion[0], motion[1], motion[1], motion[2]
+                slope, bend = motion[1], motion[2]
+                pasts[place, 2 * k, 0], pasts[place, 2 * k + 1, 0] = motion[0], motion[1]
         elif slot >= index:
             # A delay shorter than a step reaches into the step being taken.
             ahead = time - index * step
-            for t in range(width):
-                last = history[index - 1, 5, t] if index > 0 else 0.0
-                angle[t] = state[0, t] + ahead * state[1, t] + 0.5 * ahead**2 * last
-                velocity[t] = state[1, t] + ahead * last
-            bend = history[index - 1, 5, 0] if index > 0 else 0.0
-            slope = state[1, 0] + ahead * bend
+            add_scaled(states, 0, 1.0, pasts, angle)
+            add_scaled(states, 1, ahead, pasts, angle)
+            add_scaled(states, 1, 1.0, pasts, velocity)
+            if index > 0:
+                last = (index - 1) * history.shape[1] + 5
+                add_scaled(history, last, 0.5 * ahead**2, pasts, angle)
+                add_scaled(history, last, ahead, pasts, velocity)
+                bend = history[index - 1, 5, 0]
+            slope = states[0, 1, 0] + ahead * bend
         elif slot >= 0:
-            s, row = time / step - slot, history[slot]
-            slope = _hermite(s, step, row[0], row[1], row[3], row[4], angle)
-            bend = _hermite(s, step, row[1], row[2], row[4], row[5], velocity)
+            s = time / step - slot
+            slope = _hermite(s, step, history, slot, 0, pasts, angle)
+            bend = _hermite(s, step, history, slot, 1, pasts, velocity)
         for t in range(1, width):
-            angle[t] -= machine.delays[k, t] * slope
-            velocity[t] -= machine.delays[k, t] * bend
+            pasts[place, 2 * k, t] -= machine.delays[k, t] * slope
+            pasts[place, 2 * k + 1, t] -= machine.delays[k, t] * bend
 
 
 @compiled_loop
 def _equilibrium(
-    machine: Machine, state: np.ndarray, past: np.ndarray, given: np.ndarray, reaction: np.ndarray
+    machine: Machine, states: np.ndarray, pasts: np.ndarray, given: np.ndarray
 ) -> None:
-    """Internal states in equilibrium at the angle of a state, by Newton's method from 0."""
-    n, width = machine.rest.shape[0] - 2, state.shape[1]
+    """Internal states in equilibrium at the angle of the first state, by Newton's method from 0."""
+    n, width, state, past = machine.rest.shape[0] - 2, states.shape[2], states[0], pasts[0]
     slopes, right, raw = np.zeros((n, n)), np.zeros((n, width)), np.zeros((n * n, LANES))
+    reaction = np.zeros((1, 2 + n, width))
     for k in range(past.shape[0] // 2):
         past[2 * k, 0] = state[0, 0]
     for _ in range(_NEWTON_STEPS):
         for i in range(n):
             for t in range(1, width):
                 state[2 + i, t] = 0.0
-        _react(machine, state, past, 0.0, given, reaction)
-        run(machine.turning, given, state, past, raw)
+        _react(machine, states, 0, pasts, 0, 0.0, given, reaction, 0)
+        run(machine.turning, given, states, 0, pasts, 0, raw, 0)
         for i in range(n):
             for j in range(n):
                 slopes[i, j] = raw[i * n + j, 0]
             # Keeps at 0 a state that any value would leave at rest.
             slopes[i, i] -= 1e-12
             for t in range(width):
-                right[i, t] = reaction[2 + i, t]
+                right[i, t] = reaction[0, 2 + i, t]
         solved(slopes, right)
         for i in range(n):
             for t in range(width):
@@ -286,17 +296,16 @@ def integrated(
     given = np.zeros(machine.theta.size + n + n_past + 1)
     for j in range(machine.theta.size):
         given[j] = machine.theta[j]
-    reaction = np.zeros((n, width))
     points = np.zeros((n_stages + 1, n, width))
     # What stages follow from, in one array: rates, how far points are from the start, the rates
-    # where the step ends, and nothing. (Choosing between arrays has them counted at every step.)
+    # where the step ends, and nothing. (Views, and a choice of arrays, are counted at every step.)
     away, ends, nothing = n_stages, 2 * n_stages + 1, 2 * n_stages + 2
     known = np.zeros((2 * n_stages + 3, n, width))
     applied, room = np.zeros(imposed.signals.shape[1]), np.zeros((3, 3))
     if imposed.angle:
         signal(imposed, 0, 0, applied)
         points[0, 0, 0] = applied[0]
-        _equilibrium(machine, points[0], pasts[0], given, reaction)
+        _equilibrium(machine, points, pasts, given)
     for index in range(n_steps + 1):
         sample, within = index // substeps, 2 * (index % substeps)
         if index == n_steps and not imposed.angle:
@@ -308,9 +317,7 @@ def integrated(
         carried = order == 2 and not imposed.angle
         for place in range(2 if carried else 0, 3):
             if n_past and (place != 1 or order == 4):
-                _recall(
-                    machine, imposed, history, index, step, place, points[0], room, pasts[place]
-                )
+                _recall(machine, imposed, history, index, step, place, points, room, pasts)
         if carried:
             for j in range(n_past):
                 for t in range(width):
@@ -320,52 +327,56 @@ def integrated(
             place = scheme.places[k] if k < n_stages else 2
             if k == n_stages and (order == 2 or not n_past or imposed.angle):
                 break
-            point = points[k]
             signal(imposed, sample, within + place, applied)
             if imposed.angle:
-                for i in range(2):
-                    for t in range(width):
-                        point[i, t] = 0.0
-                    point[i, 0] = applied[i]
-            rates = known[k if k < n_stages else ends]
-            _react(machine, point, pasts[place], applied[0], given, rates)
+                points[k, 0, 0], points[k, 1, 0] = applied[0], applied[1]
+            rates = k if k < n_stages else ends
+            _react(machine, points, k, pasts, place, applied[0], given, known, rates)
             if imposed.angle and k == 0 and not within:
-                copy_row(rates, 0, out, sample)
+                copy_row(known, rates * n, out, sample)
                 add_inertial(machine, applied[2], out[sample])
                 if idle or index == n_steps:
                     break
-            copy_row(point, 1, rates, 0)
+            copy_row(points, k * n + 1, known, rates * n)
             if k == n_stages:
                 break
-            base, moved = nothing, known[away + k + 1]
+            base, moved = nothing, away + k + 1
             for j in range(2 * n_stages):
                 if scheme.used[k, j]:
-                    part, slope = scheme.parts[k, j], scheme.slopes[k, j]
-                    entries = scheme.entries[k, j]
-                    add_product(known[base], part, slope, entries, known[j], moved, first)
-                    base = away + k + 1
-            add_rows(points[0], moved, points[k + 1], first)
+                    add_product(
+                        known,
+                        base,
+                        scheme.parts,
+                        scheme.slopes,
+                        scheme.entries,
+                        2 * n_stages * k + j,
+                        known,
+                        j,
+                        known,
+                        moved,
+                        first,
+                    )
+                    base = moved
+            add_rows(points, 0, known, moved, points, k + 1, first)
         if idle or index == n_steps:
             continue
-        arrived = points[n_stages]
         if history.shape[0]:
             if order == 2:
                 # As the scheme knows them: those of its guess, and linearly on.
-                last = known[ends]
                 for t in range(width):
-                    last[1, t] = known[1, 1, t]
+                    known[ends, 1, t] = known[1, 1, t]
                 for j in range(n):
-                    change = arrived[j, 0] - points[1, j, 0]
-                    last[1, 0] += linear[1, j, 0] * change
+                    change = points[n_stages, j, 0] - points[1, j, 0]
+                    known[ends, 1, 0] += linear[1, j, 0] * change
                     for t in range(1, width):
-                        last[1, t] += linear[1, j, 0] * (arrived[j, t] - points[1, j, t])
-                        last[1, t] += linear[1, j, t] * change
-            for t in range(width):
-                for i in range(2):
-                    history[index, i, t] = points[0, i, t]
-                    history[index, 3 + i, t] = arrived[i, t]
-                history[index, 2, t] = known[0, 1, t]
-                history[index, 5, t] = known[ends, 1, t]
-        add_rows(known[nothing], arrived, points[0], 0)
+                        more = points[n_stages, j, t] - points[1, j, t]
+                        known[ends, 1, t] += linear[1, j, 0] * more + linear[1, j, t] * change
+            into = 6 * index
+            for i in range(2):
+                copy_row(points, i, history, into + i)
+                copy_row(points, n_stages * n + i, history, into + 3 + i)
+            copy_row(known, 1, history, into + 2)
+            copy_row(known, ends * n + 1, history, into + 5)
+        add_rows(known, nothing, points, n_stages, points, 0, 0)
         if not imposed.angle:
-            copy_row(arrived, 0, out, sample + 1)
+            copy_row(points, n_stages * n, out, sample + 1)
