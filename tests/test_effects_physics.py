@@ -572,8 +572,11 @@ def test_a_soft_coupling_is_a_link_between_two_bodies():
     agree(response("soft_coupling", Impulse(1.0).drive(TIME), **own), expected, 1e-9)
 
 
-def test_with_play_the_limb_is_left_alone_within_the_gap():
+@pytest.mark.parametrize("place", [0.0, 0.7, -1.4])
+def test_with_play_the_limb_is_left_alone_within_the_gap(place):
+    """From where it rests: in the middle, aside, or pressed against one side by a constant load."""
     k, tau, share, gap, corner = 600.0, 3e-3, 0.3, 0.004, 0.3 * 0.004
+    held = place * gap
 
     def pressed(s):
         return s + (np.hypot(s - gap, corner) - np.hypot(s + gap, corner)) / 2
@@ -584,13 +587,14 @@ def test_with_play_the_limb_is_left_alone_within_the_gap():
 
     def rates(t, state):
         q, v, x, w = state
-        torque = carried(q - x, v - w)
+        torque, load = carried(q - x, v - w), carried(held, 0.0)
         before, behind = share * I, (1 - share) * I
-        return [v, (applied(t) - torque) / before, w, (torque - K * x - B * w) / behind]
+        pushed = torque - load - K * x - B * w
+        return [v, (applied(t) + load - torque) / before, w, pushed / behind]
 
-    expected = by_ode(rates, np.zeros(4), TIME)[0]
+    expected = by_ode(rates, np.array([held, 0.0, 0.0, 0.0]), TIME)[0] - held
     own = {"stiffness": k, "time": tau, "share": share, "gap": gap, "rounding": 0.3}
-    agree(response("backlash", SINUSOID, **own), expected, 1e-5)
+    agree(response("backlash", SINUSOID, place=place, **own), expected, 1e-5)
     assert pressed(gap / 2) < 0.1 * gap
     assert pressed(10 * gap) == pytest.approx(9 * gap, rel=0.01)
 

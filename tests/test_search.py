@@ -225,7 +225,14 @@ def test_play_that_only_hides_the_noise_of_an_imposed_angle_is_none(driven, show
     study = study_of_a_pair(driven, keys)
     weighing = Weighing(study._evaluator(1), keys)
     model = KBI() + EFFECTS["backlash"]()
-    link = {"stiffness": 300.0, "time": 0.002, "share": 0.2, "gap": 2e-6, "rounding": 0.1}
+    link = {
+        "stiffness": 300.0,
+        "time": 0.002,
+        "share": 0.2,
+        "gap": 2e-6,
+        "rounding": 0.1,
+        "place": 0.0,
+    }
     values = JOINT | {f"backlash.{name}": value for name, value in link.items()}
     found = study._evaluator(1).evaluate(model, [values], resolved=False)
     estimate = replace(found.weights.estimate, carried=Process((), (), 1e-4))

@@ -19,6 +19,7 @@ _WIDE = (0.15, 0.3, 0.55, 1.0, 1.8, 4.0, 10.0)
 _NARROW = 3  # ratio of bounds up to which starts between them are equally spaced
 _SOFTER = (3.0, 10.0)  # stiffness of a tendon over the joint's
 _WIDELY_SOFTER = (1.0, 3.0, 10.0)
+_GAPS = (0.3, 1.0)  # of what is usual
 _STIFF = 100.0  # the same, of one that hardly gives: softer ones lead away from it
 _MOST_STARTS, _MOST_WIDELY = 6, 28
 _PART = 0.1  # of the torque, that a property makes of which regression finds nothing
@@ -70,12 +71,35 @@ def starting_values(
     if wide and gives:
         shape = {n: p.nominal for n, p in new.items() if p.null is None and p.plain is None}
         starts.append(starts[0] | shape | dict.fromkeys(gives, _STIFF * known["K"] + 1.0))
+        starts += [starts[0] | shape | other for other in _with_gaps(new, known["K"])]
     for start in starts:
         for name in gives:
             softened = 1 + start["K"] / start[name]
             start["K"] *= softened
             start["B"] *= softened**2
     return starts
+
+
+def _with_gaps(new: Mapping[str, Parameter], stiffness: float) -> list[dict[str, float]]:
+    """Sizes of effects that do not vanish with them alone, as play does not with its gap.
+
+    From near its null no step leads to where the limb leans against one side of it.
+    """
+    links = {name.split(".")[0]: name for name, p in new.items() if p.endless}
+    grids: dict[str, Sequence[float]] = {}
+    for name, p in new.items():
+        if p.null is not None and not p.endless and (link := links.get(name.split(".")[0])):
+            grids[link] = [f * stiffness + 1.0 for f in _SOFTER]
+            grids[name] = [f * p.nominal for f in _GAPS]
+            own = {n: p for n, p in new.items() if links.get(n.split(".")[0]) == link}
+            grids |= {
+                n: [p.nominal + side * p.upper for side in (-0.5, 0.0, 0.5)]
+                for n, p in own.items()
+                if p.lower == -p.upper
+            }
+    if not grids:
+        return []
+    return [dict(zip(grids, values, strict=True)) for values in itertools.product(*grids.values())]
 
 
 def refined_values(

@@ -22,13 +22,15 @@ class Backlash(SoftCoupling):
     r"""Play of handle, cuff or gear: a link with a gap.
 
     .. math::
-        T = k\,(\sigma(s) + \tau\, \sigma'(s)\, \dot s), \qquad
-        \sigma(s) = s + \frac{1}{2}\left[\sqrt{(s - g)^2 + r^2} - \sqrt{(s + g)^2 + r^2}\right],
-        \qquad r = \rho g
+        T = k\,(\sigma(s + s_0) - \sigma(s_0) + \tau\, \sigma'(s + s_0)\, \dot s), \qquad
+        \sigma(x) = x + \frac{1}{2}\left[\sqrt{(x - g)^2 + r^2} - \sqrt{(x + g)^2 + r^2}\right],
+        \qquad r = \rho g, \quad s_0 = p\,g
 
     with the bodies of a soft coupling, which it is without its gap g to either side. Contact comes
-    over a part of the gap, a tenth in the plain form. Play vanishes with the gap, and with it the
-    link as its stiffness goes to infinity.
+    over a part of the gap, a tenth in the plain form. At the operating point the link is s_0 away
+    from the middle of its play: less than the gap where the limb hangs free, more where gravity or
+    muscle press it against one side. Play vanishes with the gap, and with it the link as its
+    stiffness goes to infinity.
     """
 
     key = "backlash"
@@ -61,6 +63,15 @@ class Backlash(SoftCoupling):
             description="stretch over which the contact comes, over the gap",
             ends_form=True,
         ),
+        Parameter(
+            "place",
+            "p",
+            "1",
+            nominal=0.0,
+            lower=-4.0,
+            upper=4.0,
+            description="stretch of the link at the operating point, from the middle, over the gap",
+        ),
     )
     references = (
         "Nordin & Gutman 2002, Automatica 38: 1633-1649 (mechanical systems with backlash)",
@@ -70,13 +81,11 @@ class Backlash(SoftCoupling):
         self, p: Sequence[Array], motion: Motion, states: Array, delayed: Motion
     ) -> ArrayLike:
         """Torque [Nm] of the link at a stretch of ``motion.angle`` rad."""
-        stiffness, time, _, gap, rounding = p
-        stretch, corner = jnp.asarray(motion.angle), (rounding * gap) ** 2 + _TINY**2
-        ahead = jnp.sqrt((stretch - gap) ** 2 + corner)
-        behind = jnp.sqrt((stretch + gap) ** 2 + corner)
-        pressed = stretch + 0.5 * (ahead - behind)
-        touch = 1 + 0.5 * ((stretch - gap) / ahead - (stretch + gap) / behind)
-        return stiffness * (pressed + time * touch * motion.velocity)
+        stiffness, time, _, gap, rounding, place = p
+        at_rest, width = place * gap, rounding * gap
+        pressed, touch = _pressed(motion.angle + at_rest, gap, width)
+        beyond = pressed - _pressed(at_rest, gap, width)[0]
+        return stiffness * (beyond + time * touch * motion.velocity)
 
     def pace(self, values: Mapping[str, float]) -> float:
         """Fastest rate [1/s] of the two bodies in contact."""
@@ -93,3 +102,12 @@ class Backlash(SoftCoupling):
             f"a gap of {1e3 * gap:.2g} mrad would be no play, but hide the noise of the angle, of "
             f"{1e3 * noise:.2g} mrad"
         )
+
+
+def _pressed(stretch: ArrayLike, gap: Array, rounding: Array) -> tuple[Array, Array]:
+    """How far a link is pressed beyond its gap, and its slope."""
+    stretch, corner = jnp.asarray(stretch), rounding**2 + _TINY**2
+    ahead = jnp.sqrt((stretch - gap) ** 2 + corner)
+    behind = jnp.sqrt((stretch + gap) ** 2 + corner)
+    pressed = stretch + 0.5 * (ahead - behind)
+    return pressed, 1 + 0.5 * ((stretch - gap) / ahead - (stretch + gap) / behind)
