@@ -135,6 +135,12 @@ class Band:
         """Whether a model is given the whole motion, and its torque passes the filter."""
         return bool(self.whole) and not model.linear
 
+    def earlier(self, model: Model) -> list[int]:
+        """Samples that a model is given before those of each observation."""
+        if not self.sees_whole(model):
+            return [0] * len(self.observations)
+        return [window.earlier for window in self._windows]
+
     @cached_property
     def _windows(self) -> list[Window]:
         return self._whole(self.whole)

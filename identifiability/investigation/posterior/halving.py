@@ -17,12 +17,13 @@ from scipy.ndimage import correlate1d
 
 from identifiability.inference.problem import Observation, observe
 from identifiability.measurement.noise import Noise
-from identifiability.measurement.perturbations import imposed_motion
+from identifiability.measurement.perturbations import Drive, imposed_motion
 from identifiability.measurement.prepared import Prepared
 from identifiability.measurement.trials import ends_in_motion, extended
 
 _TAPS = signal.firwin(23, 0.5)
 _REACH = _TAPS.size // 2
+_LOOSE = 5  # samples at its end that a spline through an angle does not know well
 
 KEPT = float(np.sqrt(np.sum(_TAPS**2)))
 """Standard deviation that the filter leaves of white noise."""
@@ -60,32 +61,34 @@ class Window:
     ----------
     observation : Observation
         Its measured response has passed the filter already.
+    earlier : int
+        Samples that it begins before the piece of the motion below the cut-off.
     first, last : int
         Of its samples that are compared, of which every other one is.
-    turned : bool
-        Whether what is before its trial is what follows, turned about the beginning: see
-        `extended`.
     """
 
     observation: Observation
+    earlier: int
     first: int
     last: int
-    turned: bool
 
     @classmethod
     def of(cls, whole: Prepared, piece: Observation, span: slice) -> Window:
         """Where a piece of a trial lies, of which the samples of a span are compared."""
-        begin = span.stop - piece.measured.size
+        # From before where the filter reaches back to, if need be before the trial.
+        own = span.stop - piece.measured.size
+        begin = min(own, span.start - _REACH - _LOOSE)
         end = min(span.stop + _REACH, whole.response.size)
-        drive = replace(
-            whole.drive,
-            states=whole.drive.states[begin:end],
-            impulses=whole.drive.impulses[begin:end],
-        )
-        first, last = span.start - begin, span.stop - begin
-        needed = np.arange(_first_needed(first), end - begin)
-        seen = observe(drive, whole.response[begin:end], Noise(1.0), select=needed)
-        return cls(seen, first, last, ends_in_motion(whole.trial.angle, _REACH)[0])
+        earlier, first, last = own - begin, span.start - begin, span.stop - begin
+        drive, response = whole.drive, whole.response
+        if begin < 0:
+            drive = _begun_before(whole, -begin)
+            response = np.concatenate([np.full(-begin, response[0]), response])
+            begin, end = 0, end - begin
+        drive = replace(drive, states=drive.states[begin:end], impulses=drive.impulses[begin:end])
+        needed = np.arange(first - _REACH, end - begin)
+        seen = observe(drive, response[begin:end], Noise(1.0), select=needed)
+        return cls(seen, earlier, first, last)
 
     def compared(
         self, rows: np.ndarray, every: int, measured: np.ndarray | None = None
@@ -103,27 +106,28 @@ class Window:
             the model makes of the motion does. None where all columns are differences.
         """
         n = self.observation.measured.size
-        begin, end = _first_needed(self.first), min(self.last + _REACH, n)
+        begin, end = self.first - _REACH, min(self.last + _REACH, n)
         values = rows[begin:end].copy()
         if measured is not None:
             values[:, 0] += measured[begin:end]
-        before = begin + _REACH - self.first
-        beyond = np.repeat(values[:1], before, axis=0)
-        if self.turned:
-            beyond = 2 * beyond - values[before:0:-1]
-        passed = correlate1d(np.concatenate([beyond, values]), _TAPS, axis=0)
+        passed = correlate1d(values, _TAPS, axis=0)
         found = passed[_REACH : _REACH + self.last - self.first : every]
         if measured is not None:
             found[:, 0] -= measured[self.first : self.last : every]
         return found
 
 
-def _first_needed(first: int) -> int:
-    """First sample that the filter is given, of which this one is the first to be compared.
+def _begun_before(whole: Prepared, n: int) -> Drive:
+    """What moves a trial, with so many samples more before it: as the filter takes them to be.
 
-    That one itself where there are too few before it: these are the spline's loose end.
+    Were the torque taken to go on as at the first sample instead, so would the noise that it has of
+    the angle, and what the spline makes of its loose end.
     """
-    return first - _REACH if first >= _REACH else first
+    angle = whole.drive.signals[:, 0]
+    turned = ends_in_motion(whole.trial.angle, _REACH)[0]
+    before = 2 * angle[0] - angle[n:0:-1] if turned else np.full(n, angle[0])
+    angle = np.concatenate([before, angle])
+    return imposed_motion(whole.drive.interval * np.arange(angle.size), angle)
 
 
 def without_level(columns: Sequence[np.ndarray], trial: np.ndarray) -> list[np.ndarray]:

@@ -279,9 +279,10 @@ class Hidden:
         for problem in (plain, having):
             # Of the whole motion there are some samples more, where nothing is compared.
             observations = [replace(o, measured=o.measured.copy()) for o in problem.observations]
-            for o, row in zip(observations, rows, strict=True):
-                n = min(row.size, o.measured.size)
-                o.measured[:n] += row[:n]
+            earlier = self._evaluator.band.earlier(problem.model)
+            for o, begin, row in zip(observations, earlier, rows, strict=True):
+                n = min(row.size, o.measured.size - begin)
+                o.measured[begin : begin + n] += row[:n]
             found.append(replace(problem, observations=observations))
         return found[0], found[1]
 
