@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from levels import moved, weighed
 
 from identifiability.benchmark.anatomy import Anatomy
 from identifiability.benchmark.effects import BristleFriction, CoulombFriction
 from identifiability.benchmark.joints import Joint
-from identifiability.benchmark.motion import Motion, reaction
 from identifiability.investigation.session import Investigation
 from identifiability.joint.effects import EFFECTS
 from identifiability.joint.model import KBI
@@ -31,22 +31,14 @@ def record(friction, driven, seconds=2, seed=1):
         angle = joint.respond(torque, 1 / RATE)
         angle = angle + NOISE * angle.std() * rng.standard_normal(time.size)
     else:
-        steps = np.diff(np.r_[0.0, rng.uniform(-0.08, 0.08, onsets.size)])
-        motion = Motion(onsets, steps, 60.0)
-        angle, torque = motion.at(time)[0], reaction(joint, motion, time)
-        torque = torque + NOISE * torque.std() * rng.standard_normal(time.size)
-        angle = angle + 2e-6 * rng.standard_normal(time.size)
+        levels = rng.uniform(-0.08, 0.08, onsets.size)
+        angle, torque = moved(joint, time, onsets, levels, NOISE, rng)
     return Trial(time, torque, angle, driven=driven, name="levels")
-
-
-def weighed(trial, keys=KEYS):
-    study = Investigation([trial], library={key: EFFECTS[key] for key in keys})
-    return study, study.weigh()
 
 
 @pytest.mark.parametrize("driven", ["torque", "angle"])
 def test_a_contact_that_gives_is_friction_and_no_cuff(driven):
-    study, found = weighed(record(BRISTLES, driven))
+    study, found = weighed(record(BRISTLES, driven), KEYS)
     claim = study.claim(found)
     assert claim.kind == "effects"
     assert claim.effects == ("coulomb_friction",)

@@ -2,21 +2,17 @@
 
 import numpy as np
 import pytest
+from levels import moved, weighed
 
 from identifiability.benchmark.anatomy import Anatomy
 from identifiability.benchmark.effects import Backlash
 from identifiability.benchmark.joints import Joint
-from identifiability.benchmark.motion import Motion, reaction
-from identifiability.investigation.session import Investigation
-from identifiability.joint.effects import EFFECTS
 from identifiability.measurement.trials import Trial
 
 LIMB = Anatomy(0.08, 4.0, 0.2, 20.0, 1.0)
 PLAY = Backlash(900.0, 1.5, 0.02, LIMB, 0.005)
 JOINT, LINK = {"K": 24.0, "B": 1.2, "I": 0.1}, {"backlash.gap": 0.005, "backlash.share": 0.2}
 RATE, SECONDS, HOLD, NOISE = 500, 4, 0.3, 0.002
-
-
 LOAD, SETTLED = 1.5, 1.0  # Nm, and s before a record of torque begins
 
 
@@ -36,17 +32,9 @@ def record(driven, seed=3):
         angle = angle + NOISE * angle.std() * rng.standard_normal(time.size)
     else:
         onsets = np.arange(0.0, SECONDS, HOLD)
-        steps = np.diff(np.r_[0.0, rng.uniform(-0.06, 0.12, onsets.size)])
-        motion = Motion(onsets, steps, 60.0)
-        angle, torque = motion.at(time)[0], reaction(joint, motion, time)
-        torque = torque + NOISE * torque.std() * rng.standard_normal(time.size)
-        angle = angle + 2e-6 * rng.standard_normal(time.size)
+        levels = rng.uniform(-0.06, 0.12, onsets.size)
+        angle, torque = moved(joint, time, onsets, levels, NOISE, rng)
     return Trial(time, torque, angle, driven=driven, name="levels")
-
-
-def weighed(trial, keys, **options):
-    study = Investigation([trial], library={key: EFFECTS[key] for key in keys}, **options)
-    return study, study.weigh()
 
 
 @pytest.mark.parametrize(("driven", "level_of"), [("torque", "lead"), ("angle", "record")])

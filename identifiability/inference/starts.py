@@ -81,24 +81,22 @@ def starting_values(
 
 
 def _with_gaps(new: Mapping[str, Parameter], stiffness: float) -> list[dict[str, float]]:
-    """Sizes of effects that do not vanish with them alone, as play does not with its gap.
+    """Stiffnesses, gaps and places of a link that has all three, as play has.
 
-    From near its null no step leads to where the limb leans against one side of it.
+    From near a gap of 0 no step leads to where the limb leans against one side of it.
     """
-    links = {name.split(".")[0]: name for name, p in new.items() if p.endless}
-    grids: dict[str, Sequence[float]] = {}
-    for name, p in new.items():
-        if p.null is not None and not p.endless and (link := links.get(name.split(".")[0])):
-            grids[link] = [f * stiffness + 1.0 for f in _SOFTER]
-            grids[name] = [f * p.nominal for f in _GAPS]
-            own = {n: p for n, p in new.items() if links.get(n.split(".")[0]) == link}
-            grids |= {
-                n: [p.nominal + side * p.upper for side in (-0.5, 0.0, 0.5)]
-                for n, p in own.items()
-                if p.lower == -p.upper
-            }
-    if not grids:
+    places = {n: p for n, p in new.items() if p.plain is None and p.lower == -p.upper}
+    keys = {name.split(".")[0] for name in places}
+    own = {name: p for name, p in new.items() if name.split(".")[0] in keys}
+    sizes = {name: p for name, p in own.items() if p.null is not None and p.plain is None}
+    if len({p.endless for p in sizes.values()}) < 2:
         return []
+    grids = {
+        name: [f * stiffness + 1.0 for f in _SOFTER]
+        if p.endless
+        else [f * p.nominal for f in _GAPS]
+        for name, p in sizes.items()
+    } | {n: [p.nominal + side * p.upper for side in (-0.5, 0.0, 0.5)] for n, p in places.items()}
     return [dict(zip(grids, values, strict=True)) for values in itertools.product(*grids.values())]
 
 

@@ -342,7 +342,9 @@ def thinned(values: FloatArray, factor: int, angle: FloatArray) -> FloatArray:
     return np.asarray(signal.fftconvolve(around, taps, mode="valid")[::factor])
 
 
-def extended(values: FloatArray, n: int, angle: FloatArray) -> FloatArray:
+def extended(
+    values: FloatArray, n: int, angle: FloatArray, *, within: int | None = None
+) -> FloatArray:
     """Values with so many more beyond each end, for a filter that reaches there.
 
     At rest they stay as they are at the end: turned about it, they would be as far off as twice its
@@ -355,6 +357,8 @@ def extended(values: FloatArray, n: int, angle: FloatArray) -> FloatArray:
     n : int
     angle : array, shape (m,)
         That moves or rests [rad].
+    within : int, optional
+        Samples from each end within which it is asked whether it moves; `n` by default.
 
     Returns
     -------
@@ -362,7 +366,7 @@ def extended(values: FloatArray, n: int, angle: FloatArray) -> FloatArray:
     """
     ends = np.pad(values, n, mode="edge")
     turned = np.pad(values, n, mode="reflect", reflect_type="odd")
-    begins, stops = ends_in_motion(angle, n)
+    begins, stops = ends_in_motion(angle, n if within is None else within)
     if begins:
         ends[:n] = turned[:n]
     if stops:

@@ -19,7 +19,7 @@ from identifiability.inference.problem import Observation, observe
 from identifiability.measurement.noise import Noise
 from identifiability.measurement.perturbations import Drive, imposed_motion
 from identifiability.measurement.prepared import Prepared
-from identifiability.measurement.trials import ends_in_motion, extended
+from identifiability.measurement.trials import extended
 
 _TAPS = signal.firwin(23, 0.5)
 _REACH = _TAPS.size // 2
@@ -123,10 +123,7 @@ def _begun_before(whole: Prepared, n: int) -> Drive:
     Were the torque taken to go on as at the first sample instead, so would the noise that it has of
     the angle, and what the spline makes of its loose end.
     """
-    angle = whole.drive.signals[:, 0]
-    turned = ends_in_motion(whole.trial.angle, _REACH)[0]
-    before = 2 * angle[0] - angle[n:0:-1] if turned else np.full(n, angle[0])
-    angle = np.concatenate([before, angle])
+    angle = extended(whole.drive.signals[:, 0], n, whole.trial.angle, within=_REACH)[:-n]
     return imposed_motion(whole.drive.interval * np.arange(angle.size), angle)
 
 

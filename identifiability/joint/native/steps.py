@@ -371,7 +371,7 @@ def integrated(
                     for t in range(1, width):
                         more = points[n_stages, j, t] - points[1, j, t]
                         known[ends, 1, t] += linear[1, j, 0] * more + linear[1, j, t] * change
-            into = 6 * index
+            into = history.shape[1] * index
             for i in range(2):
                 copy_row(points, i, history, into + i)
                 copy_row(points, n_stages * n + i, history, into + 3 + i)
