@@ -236,6 +236,7 @@ def test_the_store_puts_every_cell_in_its_place(plan, tmp_path):
     outcomes = made_up_outcomes(plan, failing=1)
     write_atlas(to_dataset(plan, outcomes), tmp_path / "atlas.nc")
     with xarray.open_dataset(tmp_path / "atlas.nc") as data:
+        data = data.load()
         assert data["verdict"].dims == CELL
         assert data["parameter"].values.tolist() == ["K", "B", "I"]
         assert data["unit"].values.tolist() == ["Nm/rad", "Nms/rad", "kg m²"]
@@ -514,7 +515,6 @@ def test_another_atlas_is_not_replaced_unless_that_is_asked_for(
         return run(config, "--out", out, *more)
 
     assert command() == 0
-    assert command() == 0  # the same may be made again
     change(out / "atlas.nc", settings)
     before = (out / "atlas.nc").read_bytes()
     with pytest.raises(InputError, match=r"found another atlas in .*--replace") as refused:
@@ -522,7 +522,7 @@ def test_another_atlas_is_not_replaced_unless_that_is_asked_for(
     assert all(text in str(refused.value) for text in named)
     assert (out / "atlas.nc").read_bytes() == before
     assert command("--replace") == 0
-    assert command() == 0
+    assert command() == 0  # the same may be made again
 
 
 def test_failed_cells_are_told_and_set_the_exit_code(tmp_path, monkeypatch, capsys):

@@ -127,7 +127,7 @@ def test_frictions_corners_are_not_made_of_the_motion_below_the_cut_off():
 def test_friction_is_named_where_the_angle_is_noisy():
     """It stood beside something unknown, of its own corners' making."""
     library = {key: EFFECTS[key] for key in ("coulomb_friction", "cubic_stiffness")}
-    study = Investigation([to_and_fro()], library=library)
+    study = Investigation([to_and_fro(6.0)], library=library)
     found = study.weigh()
     assert ("coulomb_friction",) in study.claim(found).sets
     assert found.none_of_these < 0.01

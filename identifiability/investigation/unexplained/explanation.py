@@ -4,19 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
-from scipy.optimize import minimize
 
 from identifiability.investigation.fits.bench import Workbench
 from identifiability.investigation.fits.candidate import Candidate
 from identifiability.investigation.unexplained.background import Background, background
+from identifiability.investigation.unexplained.likeliest import HIGHEST_RHO, Likeliest, likeliest
 from identifiability.investigation.unexplained.linear_gaussian import (
     Columns,
     Posterior,
     TrialNoise,
-    log_evidence,
     side_by_side,
 )
 from identifiability.investigation.unexplained.terms import Term, Terms
@@ -46,8 +45,8 @@ NAMES = {
 
 REMAINDER = "unrepeatable"
 """Key of the term that every trial has for itself."""
-_ROUNDS = 3
-_HIGHEST_RHO = 0.99
+_WEAK = 0.1  # of the size that explains the whole residual
+_CLEAR = 30.0  # nats over noise alone of what is not weak
 
 
 @dataclass(frozen=True, eq=False)
@@ -295,74 +294,26 @@ class Explainer:
         sizes_only : bool
             Whether shapes stay as they are at the start.
         """
-        starts = [t.start for t in terms] if starts is None else starts
         columns = self.columns(terms)
-        at = np.log(np.concatenate([*starts, [1.0]]))[:-1]
-        bounds = np.concatenate([*(t.bounds for t in terms), np.zeros((0, 2))])
-        at = np.clip(at, bounds[:, 0], bounds[:, 1])
-        moves = np.concatenate(
-            [*((np.arange(len(t.start)) < t.n_scales) | (not sizes_only) for t in terms), [False]]
-        )[:-1].astype(bool)
-        noise = self._first_noise()
 
-        def split(x: np.ndarray) -> list[np.ndarray]:
-            whole = at.copy()
-            whole[moves] = x[:-1]
-            ends = np.cumsum([len(t.start) for t in terms])
-            return np.split(np.exp(whole), ends[:-1]) if len(terms) else []
+        def ended(values: Sequence[np.ndarray], noise: TrialNoise) -> Likeliest:
+            roots = partial(self.roots, terms)
+            return likeliest(terms, columns, roots, values, noise, sizes_only=sizes_only)
 
-        def objective(x: np.ndarray) -> float:
-            with np.errstate(all="ignore"):
-                try:
-                    found = log_evidence(
-                        columns, TrialNoise(noise.sds, _rho(x[-1])), *self.roots(terms, split(x))
-                    )
-                except np.linalg.LinAlgError:
-                    return 1e30
-            return -found if np.isfinite(found) else 1e30
-
-        limits = np.vstack([bounds[moves], [0.0, -np.log(1 - _HIGHEST_RHO)]])
-        x = np.clip(np.append(at[moves], -np.log(1 - noise.rho)), *limits.T)
-        for step, evaluations in zip(
-            (0.7, *(0.25,) * (_ROUNDS - 1)), (30, *(18,) * 9), strict=False
-        ):
-            corners = np.tile(x, (len(x) + 1, 1))
-            inside = np.where(x + step <= limits[:, 1], step, -step)
-            corners[1:] += np.diag(inside)
-            x = minimize(
-                objective,
-                x,
-                method="Nelder-Mead",
-                bounds=list(limits),
-                options={
-                    "initial_simplex": corners,
-                    "maxfev": evaluations * (len(x) + 1),
-                    # The evidence decides; of sizes and times a tenth is enough.
-                    "fatol": 0.05,
-                    "xatol": 0.1,
-                },
-            ).x
-            for _ in range(2):
-                before = TrialNoise(noise.sds, _rho(x[-1]))
-                noise = self._renewed(columns, terms, split(x), before)
-        values = split(x)
-        local, common = self.roots(terms, values)
-        posterior = Posterior(columns, noise, local, common)
+        found = ended(starts or [t.start for t in terms], self._first_noise())
+        if terms and starts is None and found.log_evidence < self._alone.log_evidence + _CLEAR:
+            # From a size that explains all no slope may lead to a weak one.
+            weak = [np.append(_WEAK * t.start[: t.n_scales], t.start[t.n_scales :]) for t in terms]
+            found = max(found, ended(weak, self._alone.noise), key=lambda f: f.log_evidence)
+        posterior = Posterior(columns, found.noise, *self.roots(terms, found.values))
         penalty = 0.5 * sum(len(t.start) for t in terms) * np.log(self.n_samples)
-        found = log_evidence(columns, noise, local, common) - penalty
-        return Explanation(tuple(terms), tuple(values), noise, found, posterior)
+        evidence = found.log_evidence - penalty
+        return Explanation(tuple(terms), tuple(found.values), found.noise, evidence, posterior)
 
-    def _renewed(
-        self,
-        columns: Sequence[Columns],
-        terms: Sequence[Term],
-        values: Sequence[np.ndarray],
-        noise: TrialNoise,
-    ) -> TrialNoise:
-        """One step of expectation maximisation for the standard deviations."""
-        posterior = Posterior(columns, noise, *self.roots(terms, values))
-        left = posterior.expected_energies() / [c.n_samples for c in columns]
-        return TrialNoise(noise.sds * np.sqrt(left), noise.rho)
+    @cached_property
+    def _alone(self) -> Likeliest:
+        """Noise without any term."""
+        return likeliest([], self.columns([]), partial(self.roots, []), [], self._first_noise())
 
     def _first_noise(self) -> TrialNoise:
         """Noise as the quiet samples show it, or as the residual's quickest changes do."""
@@ -372,11 +323,7 @@ class Explainer:
             scatter = np.std(np.diff(t.residual)) / np.sqrt(2)
             sds.append(max(lead.sd if lead.n_samples else scatter, 1e-9 * np.std(t.ready.compared)))
             rho = max(rho, (lead.correlation_time - 1) / (lead.correlation_time + 1))
-        return TrialNoise(np.array(sds), min(rho, _HIGHEST_RHO))
-
-
-def _rho(x: float) -> float:
-    return float(1 - np.exp(-x))
+        return TrialNoise(np.array(sds), min(rho, HIGHEST_RHO))
 
 
 def explainer(bench: Workbench, candidate: Candidate) -> tuple[Explainer, Response]:

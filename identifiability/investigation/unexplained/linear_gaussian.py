@@ -186,6 +186,101 @@ def log_evidence(
 
 
 @dataclass(frozen=True, eq=False)
+class Slope:
+    """Log evidence, and its derivatives.
+
+    Attributes
+    ----------
+    value : float
+    local : list of array, shape (n_local, n_local)
+        By the square root of the prior covariance of each trial's local weights.
+    common : array, shape (n_common, n_common)
+        The same of the common weights.
+    log_sds : array, shape (n_trials,)
+        By the logarithm of each trial's standard deviation of the noise.
+    rho : float
+        By the correlation of the noise.
+    """
+
+    value: float
+    local: list[np.ndarray]
+    common: np.ndarray
+    log_sds: np.ndarray
+    rho: float
+
+
+def log_evidence_slope(
+    trials: Sequence[Columns], noise: TrialNoise, local: Sequence[np.ndarray], common: np.ndarray
+) -> Slope:
+    """`log_evidence` with its derivatives; arguments as there.
+
+    What is left when weights are integrated out is a minimum over them, so its derivative is that
+    of the squares where the weights stay at their posterior mean; that of a log determinant is a
+    trace of the posterior covariance.
+    """
+    total, rho = 0.0, noise.rho
+    lefts, products = [], []
+    for i, (columns, root) in enumerate(zip(trials, local, strict=True)):
+        products.append(columns.under(noise, i))
+        lefts.append(eliminate(products[i], root))
+        total += lefts[i].change + noise.log_determinant(i, columns.n_samples)
+        total += columns.n_samples * np.log(2 * np.pi)
+    summed = np.sum([left.products for left in lefts], axis=0)
+    last = eliminate(summed, common)
+    total += last.change + float(last.products[0, 0])
+    # By the summed products: covariance of the common weights, and the squares of their mean.
+    spread = last.posterior_root
+    outer = _second_moments(spread, last.across)
+    by_common = _by_root(summed, spread, last, np.ones((1, 1)))
+    by_local, by_sd, by_rho = [], [], 0.0
+    for i, (columns, left) in enumerate(zip(trials, lefts, strict=True)):
+        spread = left.posterior_root
+        by_local.append(-0.5 * _by_root(products[i], spread, left, outer))
+        inner = _second_moments(spread, left.across, outer)
+        n, scale = columns.n_samples, noise.sds[i] ** 2 * (1 - rho**2)
+        energy = float(np.sum(inner * products[i]))
+        by_sd.append(energy - n)
+        changed = (2 * rho * columns.inner - columns.lagged) / scale
+        by_rho -= 0.5 * float(np.sum(inner * changed))
+        by_rho -= rho / (1 - rho**2) * (energy - (n - 1))
+    return Slope(-0.5 * total, by_local, -0.5 * by_common, np.array(by_sd), by_rho)
+
+
+def renewed(
+    trials: Sequence[Columns], noise: TrialNoise, local: Sequence[np.ndarray], common: np.ndarray
+) -> TrialNoise:
+    """Noise whose standard deviations are one step of expectation maximisation further."""
+    grown = log_evidence_slope(trials, noise, local, common).log_sds
+    n = np.array([columns.n_samples for columns in trials])
+    return TrialNoise(noise.sds * np.sqrt(1 + grown / n), noise.rho)
+
+
+def _second_moments(
+    spread: np.ndarray, across: np.ndarray, outer: np.ndarray | None = None
+) -> np.ndarray:
+    """Second moments of the weights and of what they are taken off, given those of the others."""
+    k = len(spread)
+    outer = np.ones((1, 1)) if outer is None else outer
+    gains = np.vstack([-spread @ across, np.eye(len(outer))])
+    moments = np.asarray(gains @ outer @ gains.T)
+    moments[:k, :k] += spread @ spread.T
+    return moments
+
+
+def _by_root(
+    products: np.ndarray, spread: np.ndarray, left: Eliminated, outer: np.ndarray
+) -> np.ndarray:
+    """Derivative, by a prior's root, of the change plus the products left, weighed by `outer`."""
+    k = len(spread)
+    own = products[:k, :k]
+    whitened = lapack.dtrtrs(left.lower, np.eye(k), lower=1)[0] if k else own
+    to_root = spread @ whitened if k else own  # root times the inverse of the core
+    missed = products[:k, k:] - own @ spread @ left.across
+    gains = whitened.T @ left.across
+    return np.asarray(2 * own @ to_root - 2 * missed @ outer @ gains.T)
+
+
+@dataclass(frozen=True, eq=False)
 class Weights:
     """Posterior of one set of weights: mean, shape (k,), and a square root of its covariance."""
 
@@ -258,22 +353,3 @@ class Posterior:
             given = gains[:, -1] - shared @ gains[:, :-1].T
             local.append(given + rng.standard_normal((n, len(root))) @ root.T)
         return local, shared
-
-    def expected_energies(self) -> np.ndarray:
-        """Posterior expectation of the noise's own squares, in units of the noise; (n_trials,)."""
-        parts, common = self._solved
-        out = []
-        for (h, d), (root, gains, _) in zip(self._differences(), parts, strict=True):
-            k = len(root)
-            # The common weights move the local ones through their gains.
-            moved = np.vstack([-gains[:, :-1], np.eye(len(common.mean))]) @ common.root
-            spread = np.sum(moved * (h[:-1, :-1] @ moved)) + np.sum(root * (h[:k, :k] @ root))
-            out.append(d @ h @ d + spread)
-        return np.array(out)
-
-    def _differences(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        parts, common = self._solved
-        return [
-            (products, np.concatenate([-local.mean, -common.mean, [1.0]]))
-            for (_, _, products), local in zip(parts, self.local, strict=True)
-        ]
