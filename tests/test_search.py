@@ -15,6 +15,7 @@ from identifiability.investigation.ladder.climb import found_of
 from identifiability.investigation.posterior import evidence
 from identifiability.investigation.posterior.claim import Claim
 from identifiability.investigation.posterior.evidence import Evaluator
+from identifiability.investigation.posterior.jobs import exchanged
 from identifiability.investigation.posterior.search import _Search
 from identifiability.investigation.posterior.signatures import strongest
 from identifiability.investigation.posterior.weighing import Job, Weighing
@@ -158,6 +159,22 @@ def test_each_effect_of_the_most_probable_set_is_left_out(driven):
     found = weighing.found
     assert max(found, key=lambda keys: found[keys].log_evidence) == truth
     assert truth in search.enlarged
+
+
+def test_beside_a_look_alike_the_others_keep_their_forms():
+    """Against a set in rich forms the same in plain ones would stand no chance."""
+    study = study_of_a_pair("torque", KEYS)
+    model = KBI() + EFFECTS["hill_force_velocity"]() + EFFECTS["sensor_delay"]()
+    start = nested_values(model, study.baseline.values)
+    refined = model.refinable(("hill_force_velocity",))
+    found = study._evaluator(1).evaluate(model, [start], refined=refined, resolved=False)
+    values = found.values | {"hill_force_velocity.asymmetry": 0.4}
+    found = replace(found, values=values)
+    for key, rest in (("sensor_delay", refined), ("hill_force_velocity", ())):
+        job = exchanged(found, key, EFFECTS["second_mass"](), {})
+        assert job.refined == rest
+        kept = [start.get("hill_force_velocity.asymmetry") for start in job.starts]
+        assert (0.4 in kept) == bool(rest)
 
 
 @pytest.mark.parametrize("driven", ["torque", "angle"])

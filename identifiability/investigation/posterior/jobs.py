@@ -33,7 +33,7 @@ def enlarged(current: Evaluated, effect: Effect, alone: Mapping[str, float]) -> 
 
 
 def exchanged(current: Evaluated, key: str, effect: Effect, alone: Mapping[str, float]) -> Job:
-    """A model with another effect in the place of one, all in their plain forms.
+    """A model with another effect in the place of one; the rest keep their forms.
 
     Parameters
     ----------
@@ -48,7 +48,8 @@ def exchanged(current: Evaluated, key: str, effect: Effect, alone: Mapping[str, 
     model = current.model.without(key) + effect
     values = {name: v for name, v in current.values.items() if name in model.parameters}
     starts = _starts_beside(model, values, effect, alone)
-    return Job(model, starts, noise=current.weights)
+    refined = model.refinable(k for k in current.refined if k != key)
+    return Job(model, starts, refined, noise=current.weights)
 
 
 def _starts_beside(
