@@ -72,7 +72,10 @@ def test_the_pendulum_has_gravity_then_a_shift_of_the_channels_and_friction(shar
 
 @pytest.mark.parametrize(
     ("file", "rubs"),
-    [("dfki_pendulum_ddp.csv", True), ("dfki_pendulum_direct_collocation.csv", False)],
+    [
+        ("dfki_pendulum_ddp.csv", True),
+        pytest.param("dfki_pendulum_direct_collocation.csv", False, marks=pytest.mark.long),
+    ],
 )
 def test_the_pendulum_whose_torque_is_imposed_has_gravity(shared_data, file, rubs):
     """By default settings; in one record friction is a clue beside it, and held out it shows."""

@@ -20,6 +20,7 @@ import numpy as np
 from scipy.linalg import lapack
 
 _JITTER = 1e-9
+_RESIDUAL = np.ones((1, 1))  # its weight is 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,30 +162,6 @@ def side_by_side(*blocks: np.ndarray) -> np.ndarray:
     return out
 
 
-def log_evidence(
-    trials: Sequence[Columns], noise: TrialNoise, local: Sequence[np.ndarray], common: np.ndarray
-) -> float:
-    """Log probability density of the residuals of all trials.
-
-    Parameters
-    ----------
-    trials : sequence of Columns
-    noise : Noise
-    local : sequence of array, shape (n_local, n_local)
-        Square root of the prior covariance of each trial's local weights.
-    common : array, shape (n_common, n_common)
-        The same of the common weights.
-    """
-    total, summed = 0.0, np.zeros((len(common) + 1,) * 2)
-    for i, (columns, root) in enumerate(zip(trials, local, strict=True)):
-        left = eliminate(columns.under(noise, i), root)
-        summed += left.products
-        total += left.change + noise.log_determinant(i, columns.n_samples)
-        total += columns.n_samples * np.log(2 * np.pi)
-    left = eliminate(summed, common)
-    return -0.5 * (total + left.change + float(left.products[0, 0]))
-
-
 @dataclass(frozen=True, eq=False)
 class Slope:
     """Log evidence, and its derivatives.
@@ -212,11 +189,25 @@ class Slope:
 def log_evidence_slope(
     trials: Sequence[Columns], noise: TrialNoise, local: Sequence[np.ndarray], common: np.ndarray
 ) -> Slope:
-    """`log_evidence` with its derivatives; arguments as there.
+    """Log probability density of the residuals of all trials, and its derivatives.
 
     What is left when weights are integrated out is a minimum over them, so its derivative is that
     of the squares where the weights stay at their posterior mean; that of a log determinant is a
     trace of the posterior covariance.
+
+    Parameters
+    ----------
+    trials : sequence of Columns
+    noise : TrialNoise
+    local : sequence of array, shape (n_local, n_local)
+        Square root of the prior covariance of each trial's local weights.
+    common : array, shape (n_common, n_common)
+        The same of the common weights.
+
+    Raises
+    ------
+    LinAlgError
+        Where the columns are so nearly dependent that rounding decides.
     """
     total, rho = 0.0, noise.rho
     lefts, products = [], []
@@ -228,10 +219,9 @@ def log_evidence_slope(
     summed = np.sum([left.products for left in lefts], axis=0)
     last = eliminate(summed, common)
     total += last.change + float(last.products[0, 0])
-    # By the summed products: covariance of the common weights, and the squares of their mean.
     spread = last.posterior_root
-    outer = _second_moments(spread, last.across)
-    by_common = _by_root(summed, spread, last, np.ones((1, 1)))
+    outer = _second_moments(spread, last.across, _RESIDUAL)
+    by_common = _by_root(summed, spread, last, _RESIDUAL)
     by_local, by_sd, by_rho = [], [], 0.0
     for i, (columns, left) in enumerate(zip(trials, lefts, strict=True)):
         spread = left.posterior_root
@@ -255,12 +245,9 @@ def renewed(
     return TrialNoise(noise.sds * np.sqrt(1 + grown / n), noise.rho)
 
 
-def _second_moments(
-    spread: np.ndarray, across: np.ndarray, outer: np.ndarray | None = None
-) -> np.ndarray:
-    """Second moments of the weights and of what they are taken off, given those of the others."""
+def _second_moments(spread: np.ndarray, across: np.ndarray, outer: np.ndarray) -> np.ndarray:
+    """Second moments of all columns' weights, from those of the columns that were left."""
     k = len(spread)
-    outer = np.ones((1, 1)) if outer is None else outer
     gains = np.vstack([-spread @ across, np.eye(len(outer))])
     moments = np.asarray(gains @ outer @ gains.T)
     moments[:k, :k] += spread @ spread.T
@@ -295,7 +282,7 @@ class Weights:
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """Posterior of all weights under given noise and priors; arguments as for `log_evidence`."""
+    """Posterior of all weights under given noise and priors: see `log_evidence_slope`."""
 
     trials: Sequence[Columns]
     noise: TrialNoise
