@@ -48,8 +48,7 @@ def exchanged(current: Evaluated, key: str, effect: Effect, alone: Mapping[str, 
     model = current.model.without(key) + effect
     values = {name: v for name, v in current.values.items() if name in model.parameters}
     starts = _starts_beside(model, values, effect, alone)
-    refined = model.refinable(k for k in current.refined if k != key)
-    return Job(model, starts, refined, noise=current.weights)
+    return Job(model, starts, model.refinable(current.refined), noise=current.weights)
 
 
 def _starts_beside(

@@ -300,7 +300,10 @@ class Explainer:
             roots = partial(self.roots, terms)
             return likeliest(terms, columns, roots, values, noise, sizes_only=sizes_only)
 
-        found = ended(starts or [t.start for t in terms], self._first_noise())
+        if not terms:
+            found = self._alone
+        else:
+            found = ended(starts or [t.start for t in terms], self._first_noise())
         if terms and starts is None and found.log_evidence < self._alone.log_evidence + _CLEAR:
             # From a size that explains all no slope may lead to a weak one.
             weak = [np.append(_WEAK * t.start[: t.n_scales], t.start[t.n_scales :]) for t in terms]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.optimize import minimize
@@ -23,6 +24,7 @@ _SDS = np.log([1e-6, 1e6])  # of the noise's standard deviations over those of a
 _ENOUGH, _MATTERS = 3e-3, 0.1  # nats that a step must bring, and a search, to be followed by others
 _MOST_RUNS = 5
 _RENEWED = 3  # steps of expectation maximisation, which lead to noise of the right order
+_IMPOSSIBLE = 1e30  # cost of values whose evidence cannot be computed
 _STEP = 1e-4  # of a logarithm, to either side, for the derivative of a prior's root
 
 PriorRoots = Callable[[Sequence[np.ndarray]], tuple[list[np.ndarray], np.ndarray]]
@@ -72,19 +74,27 @@ def likeliest(
         To start from.
     sizes_only : bool
         Whether shapes stay as they are at the start.
+
+    Raises
+    ------
+    LinAlgError
+        Where no evidence can be computed.
     """
     with np.errstate(all="ignore"):
         at = roots(values)
         for _ in range(_RENEWED):
             noise = renewed(columns, noise, *at)
         search = _Search(terms, columns, roots, values, noise, sizes_only)
-        x, reached = search.start, np.inf
+        x = search.start
+        reached, _ = search.cost(x)
         for run in range(_MOST_RUNS):
-            x, found = search.descend(x, rho_held=run == 0 and bool(terms))
+            x, found = search.descend(x, reached, rho_held=run == 0 and bool(terms))
             # One that met values which cannot be computed ends early; another goes on from there.
             if run and reached - found < _MATTERS:
                 break
             reached = found
+    if found == _IMPOSSIBLE:
+        raise np.linalg.LinAlgError("found no values whose evidence can be computed")
     ended, noise = search.made(x)
     return Likeliest(ended, noise, -found)
 
@@ -100,21 +110,24 @@ class _Search:
     noise: TrialNoise
     sizes_only: bool
 
-    @property
+    @cached_property
     def _n_values(self) -> int:
         return sum(len(v) for v in self.values)
 
-    @property
+    @cached_property
     def _unit(self) -> np.ndarray:
         n = np.array([c.n_samples for c in self.columns])
         return np.concatenate([np.ones(self._n_values), [n.sum() ** -0.5], (2 * n) ** -0.5])
 
-    @property
+    def _held(self, term: Term) -> np.ndarray:
+        """Which of its hyperparameters stay as they are."""
+        return self.sizes_only & (np.arange(len(term.start)) >= term.n_scales)
+
+    @cached_property
     def _limits(self) -> np.ndarray:
         bounds = np.concatenate([*(t.bounds for t in self.terms), np.zeros((0, 2))])
-        if self.sizes_only:
-            shapes = np.concatenate([np.arange(len(t.start)) >= t.n_scales for t in self.terms])
-            bounds[shapes] = np.log(np.concatenate(self.values))[shapes, None]
+        held = np.concatenate([*map(self._held, self.terms), np.zeros(0, bool)])
+        bounds[held] = np.log(np.concatenate([*self.values, []]))[held, None]
         correlation = [[0.0, -np.log(1 - HIGHEST_RHO)]]
         return np.vstack([bounds, correlation, np.tile(_SDS, (len(self.columns), 1))])
 
@@ -133,33 +146,32 @@ class _Search:
         noise = TrialNoise(self.noise.sds * np.exp(sds), float(1 - np.exp(-correlation[0])))
         return values, noise
 
-    def descend(self, x: np.ndarray, *, rho_held: bool) -> tuple[np.ndarray, float]:
-        """Where steps downhill lead to, and minus the evidence there."""
+    def descend(self, x: np.ndarray, cost: float, *, rho_held: bool) -> tuple[np.ndarray, float]:
+        """Where steps downhill lead to from a point of this cost, and the cost there."""
         limits = self._limits / self._unit[:, None]
         if rho_held:
             limits[self._n_values] = x[self._n_values]
-        level = max(abs(self._cost(x)[0]), 1.0)
         found = minimize(
-            self._cost,
+            self.cost,
             x,
             jac=True,
             method="L-BFGS-B",
             bounds=limits,
-            options={"ftol": _ENOUGH / level, "gtol": 0.0},
+            options={"ftol": _ENOUGH / max(abs(cost), 1.0), "gtol": 0.0},
         )
         return found.x, float(found.fun)
 
-    def _cost(self, x: np.ndarray) -> tuple[float, np.ndarray]:
+    def cost(self, x: np.ndarray) -> tuple[float, np.ndarray]:
         """Minus the evidence, and its slope."""
         values, noise = self.made(x)
         try:
             found = log_evidence_slope(self.columns, noise, *self.roots(values))
             by_logs = [*self._by_logs(values, found)]
         except np.linalg.LinAlgError:
-            return 1e30, np.zeros(x.size)
+            return _IMPOSSIBLE, np.zeros(x.size)
         slope = self._unit * [*by_logs, found.rho * (1 - noise.rho), *found.log_sds]
         if not np.all(np.isfinite([found.value, *slope])):
-            return 1e30, np.zeros(x.size)
+            return _IMPOSSIBLE, np.zeros(x.size)
         return -found.value, -slope
 
     def _by_logs(self, values: Sequence[np.ndarray], found: Slope) -> Iterator[float]:
@@ -170,8 +182,8 @@ class _Search:
             sizes = np.array([c.shape[1] for c in t.columns[: len(slopes)]])
             first, used[t.shared] = used[t.shared], used[t.shared] + sizes
             own = [s[a : a + m, a : a + m] for s, a, m in zip(slopes, first, sizes, strict=True)]
-            for k in range(len(v)):
-                if self.sizes_only and k >= t.n_scales:
+            for k, held in enumerate(self._held(t)):
+                if held:
                     yield 0.0
                     continue
                 step = np.where(np.arange(len(v)) == k, _STEP, 0.0)

@@ -209,21 +209,16 @@ def log_evidence_slope(
     LinAlgError
         Where the columns are so nearly dependent that rounding decides.
     """
-    total, rho = 0.0, noise.rho
-    lefts, products = [], []
-    for i, (columns, root) in enumerate(zip(trials, local, strict=True)):
-        products.append(columns.under(noise, i))
-        lefts.append(eliminate(products[i], root))
-        total += lefts[i].change + noise.log_determinant(i, columns.n_samples)
-        total += columns.n_samples * np.log(2 * np.pi)
-    summed = np.sum([left.products for left in lefts], axis=0)
-    last = eliminate(summed, common)
-    total += last.change + float(last.products[0, 0])
+    rho = noise.rho
+    products, lefts, summed, last = _eliminated(trials, noise, local, common)
+    total = last.change + float(last.products[0, 0])
     spread = last.posterior_root
     outer = _second_moments(spread, last.across, _RESIDUAL)
     by_common = _by_root(summed, spread, last, _RESIDUAL)
     by_local, by_sd, by_rho = [], [], 0.0
     for i, (columns, left) in enumerate(zip(trials, lefts, strict=True)):
+        total += left.change + noise.log_determinant(i, columns.n_samples)
+        total += columns.n_samples * np.log(2 * np.pi)
         spread = left.posterior_root
         by_local.append(-0.5 * _by_root(products[i], spread, left, outer))
         inner = _second_moments(spread, left.across, outer)
@@ -234,6 +229,16 @@ def log_evidence_slope(
         by_rho -= 0.5 * float(np.sum(inner * changed))
         by_rho -= rho / (1 - rho**2) * (energy - (n - 1))
     return Slope(-0.5 * total, by_local, -0.5 * by_common, np.array(by_sd), by_rho)
+
+
+def _eliminated(
+    trials: Sequence[Columns], noise: TrialNoise, local: Sequence[np.ndarray], common: np.ndarray
+) -> tuple[list[np.ndarray], list[Eliminated], np.ndarray, Eliminated]:
+    """Integrate all weights out: by trial before and after, and of all trials before and after."""
+    products = [columns.under(noise, i) for i, columns in enumerate(trials)]
+    lefts = [eliminate(own, root) for own, root in zip(products, local, strict=True)]
+    summed = np.sum([left.products for left in lefts], axis=0)
+    return products, lefts, summed, eliminate(summed, common)
 
 
 def renewed(
@@ -259,9 +264,11 @@ def _by_root(
 ) -> np.ndarray:
     """Derivative, by a prior's root, of the change plus the products left, weighed by `outer`."""
     k = len(spread)
+    if k == 0:
+        return spread
     own = products[:k, :k]
-    whitened = lapack.dtrtrs(left.lower, np.eye(k), lower=1)[0] if k else own
-    to_root = spread @ whitened if k else own  # root times the inverse of the core
+    whitened = lapack.dtrtrs(left.lower, np.eye(k), lower=1)[0]
+    to_root = spread @ whitened  # root times the inverse of the core
     missed = products[:k, k:] - own @ spread @ left.across
     gains = whitened.T @ left.across
     return np.asarray(2 * own @ to_root - 2 * missed @ outer @ gains.T)
@@ -290,17 +297,13 @@ class Posterior:
     common_root: np.ndarray
 
     @cached_property
-    def _solved(self) -> tuple[list[tuple[np.ndarray, np.ndarray, np.ndarray]], Weights]:
-        parts, summed = [], np.zeros((len(self.common_root) + 1,) * 2)
-        for i, (columns, prior_root) in enumerate(zip(self.trials, self.local_root, strict=True)):
-            products = columns.under(self.noise, i)
-            left = eliminate(products, prior_root)
-            root = left.posterior_root
-            parts.append((root, root @ left.across, products))
-            summed += left.products
-        left = eliminate(summed, self.common_root)
-        root = left.posterior_root
-        return parts, Weights(root @ left.across[:, -1], root)
+    def _solved(self) -> tuple[list[tuple[np.ndarray, np.ndarray]], Weights]:
+        """By trial a root of the local weights and their gains; the common weights."""
+        _, lefts, _, last = _eliminated(self.trials, self.noise, self.local_root, self.common_root)
+        roots = [left.posterior_root for left in lefts]
+        parts = [(root, root @ left.across) for root, left in zip(roots, lefts, strict=True)]
+        root = last.posterior_root
+        return parts, Weights(root @ last.across[:, -1], root)
 
     @property
     def common(self) -> Weights:
@@ -312,7 +315,7 @@ class Posterior:
         """Of each trial's local weights, the uncertainty of the common ones included."""
         parts, common = self._solved
         out = []
-        for root, gains, _ in parts:
+        for root, gains in parts:
             mean = gains[:, -1] - gains[:, :-1] @ common.mean
             out.append(Weights(mean, np.hstack([root, gains[:, :-1] @ common.root])))
         return out
@@ -336,7 +339,7 @@ class Posterior:
         parts, common = self._solved
         shared = common.mean + rng.standard_normal((n, common.mean.size)) @ common.root.T
         local = []
-        for root, gains, _ in parts:
+        for root, gains in parts:
             given = gains[:, -1] - shared @ gains[:, :-1].T
             local.append(given + rng.standard_normal((n, len(root))) @ root.T)
         return local, shared
