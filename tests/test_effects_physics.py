@@ -6,6 +6,7 @@ import pytest
 import scipy.optimize
 import scipy.signal
 from oracles import agree, by_ode, impulse_by_residues, method_of_steps
+from scipy import integrate, interpolate, stats
 
 from identifiability.joint.effects import EFFECTS
 from identifiability.joint.effects.base import Motion
@@ -572,18 +573,26 @@ def test_a_soft_coupling_is_a_link_between_two_bodies():
     agree(response("soft_coupling", Impulse(1.0).drive(TIME), **own), expected, 1e-9)
 
 
-@pytest.mark.parametrize("place", [0.0, 0.7, -1.4])
-def test_with_play_the_limb_is_left_alone_within_the_gap(place):
+@pytest.mark.parametrize(("place", "sticky"), [(0.0, 0.0), (0.7, 0.3), (-1.4, 0.0)])
+def test_with_play_the_limb_is_left_alone_within_the_gap(place, sticky):
     """From where it rests: in the middle, aside, or pressed against one side by a constant load."""
     k, tau, share, gap, corner = 600.0, 3e-3, 0.3, 0.004, 0.3 * 0.004
     held = place * gap
+    pulls = 1 - (1 - sticky) / (1 + (2e-4 / gap) ** 2)
+    # Its slope rises from 0 to 1 about the gap, as the distribution of a beta variable does.
+    slope = stats.beta(2, 2, loc=-corner, scale=2 * corner)
+    comes = interpolate.PchipInterpolator(
+        grid := np.linspace(-corner, corner, 4001),
+        integrate.cumulative_trapezoid(slope.cdf(grid), grid, initial=0.0),
+    )
 
-    def pressed(s):
-        return s + (np.hypot(s - gap, corner) - np.hypot(s + gap, corner)) / 2
+    def push(beyond, rate):
+        depth = comes(np.clip(beyond, -corner, corner)) + np.maximum(beyond - corner, 0.0)
+        push = depth + tau * slope.cdf(beyond) * rate
+        return k * np.maximum(push, pulls * push)
 
     def carried(s, rate):
-        touch = (pressed(s + 1e-6) - pressed(s - 1e-6)) / 2e-6
-        return k * (pressed(s) + tau * touch * rate)
+        return push(s - gap, rate) - push(-s - gap, -rate)
 
     def rates(t, state):
         q, v, x, w = state
@@ -594,9 +603,14 @@ def test_with_play_the_limb_is_left_alone_within_the_gap(place):
 
     expected = by_ode(rates, np.array([held, 0.0, 0.0, 0.0]), TIME)[0] - held
     own = {"stiffness": k, "time": tau, "share": share, "gap": gap, "rounding": 0.3}
-    agree(response("backlash", SINUSOID, place=place, **own), expected, 1e-5)
-    assert pressed(gap / 2) < 0.1 * gap
-    assert pressed(10 * gap) == pytest.approx(9 * gap, rel=0.01)
+    own |= {"stickiness": sticky}
+    found = response("backlash", SINUSOID, scheme=Scheme(16), place=place, **own)
+    agree(found, expected, 1e-6)
+    assert carried(gap / 2, 10.0) == 0
+    assert carried(10 * gap, 0.0) == pytest.approx(9 * k * gap)
+    # Where it opens it hardly pulls, unless it is sticky.
+    opens = carried(1.3 * gap, -1.0)
+    assert opens == pytest.approx(pulls * k * (0.3 * gap - tau))
 
 
 @pytest.mark.parametrize("coupling", ["soft_coupling", "backlash"])

@@ -19,7 +19,9 @@ _WIDE = (0.15, 0.3, 0.55, 1.0, 1.8, 4.0, 10.0)
 _NARROW = 3  # ratio of bounds up to which starts between them are equally spaced
 _SOFTER = (3.0, 10.0)  # stiffness of a tendon over the joint's
 _WIDELY_SOFTER = (1.0, 3.0, 10.0)
-_GAPS = (0.3, 1.0)  # of what is usual
+# Of a link with play: its stiffness over the joint's, its gap over what is usual, and the part of
+# the largest place to either side. A limb is pressed against a stiff link by little of its gap.
+_LINKS, _GAPS, _PLACES = (10.0, 30.0, 100.0), (0.3, 1.0), (-0.5, -0.325, 0.0, 0.325, 0.5)
 _STIFF = 100.0  # the same, of one that hardly gives: softer ones lead away from it
 _MOST_STARTS, _MOST_WIDELY = 6, 28
 _PART = 0.1  # of the torque, that a property makes of which regression finds nothing
@@ -92,11 +94,9 @@ def _with_gaps(new: Mapping[str, Parameter], stiffness: float) -> list[dict[str,
     if len({p.endless for p in sizes.values()}) < 2:
         return []
     grids = {
-        name: [f * stiffness + 1.0 for f in _SOFTER]
-        if p.endless
-        else [f * p.nominal for f in _GAPS]
+        name: [f * stiffness + 1.0 for f in _LINKS] if p.endless else [f * p.nominal for f in _GAPS]
         for name, p in sizes.items()
-    } | {n: [p.nominal + side * p.upper for side in (-0.5, 0.0, 0.5)] for n, p in places.items()}
+    } | {n: [p.nominal + part * p.upper for part in _PLACES] for n, p in places.items()}
     return [dict(zip(grids, values, strict=True)) for values in itertools.product(*grids.values())]
 
 

@@ -174,7 +174,7 @@ class _Search:
             if keys not in self.plainer:
                 self.plainer.add(keys)
                 self.add("plainer forms", self._plainer(keys))
-            while len(keys) > 2 and keys not in self.reduced:
+            while len(keys) > 1 and keys not in self.reduced:
                 self.reduced.add(keys)
                 rests = _without_one(keys)
                 self.add(f"{' + '.join(keys)} without one", [self._rest(keys, r) for r in rests])
@@ -261,7 +261,9 @@ class _Search:
             joint = {name: larger.values[name] for name in ("K", "B", "I")}
             starts += starting_values(model, joint, most=STARTS_BESIDE, wide=True)
         refined = model.refinable(larger.refined)
-        return Job(model, starts, refined, larger.weights)
+        # In longer steps it might not be as likely even where the effect that is gone does nothing.
+        scheme = None if model.linear else larger.scheme
+        return Job(model, starts, refined, larger.weights, scheme=scheme)
 
     def leaves_much(self) -> bool:
         """Whether the most probable set leaves more than the noise of a good recording."""

@@ -37,6 +37,7 @@ from identifiability.investigation.rules import Rules
 from identifiability.joint.effects import DESCRIPTIONS
 from identifiability.joint.model import Model
 from identifiability.joint.programs import THREADS
+from identifiability.joint.scheme import Scheme
 from identifiability.progress import Progress, silent
 
 Keys = tuple[str, ...]
@@ -83,6 +84,8 @@ class Job:
         The model that this one is more than; its noise is started from instead.
     begun : Evaluated or None
         The fit to a part of a long record, where it was begun.
+    scheme : Scheme or None
+        Steps to start with; what the model asks for by default.
     """
 
     model: Model
@@ -91,6 +94,7 @@ class Job:
     noise: Weights | None = None
     nested: Evaluated | None = None
     begun: Evaluated | None = None
+    scheme: Scheme | None = None
 
     @property
     def begins_in(self) -> Weights | None:
@@ -183,6 +187,7 @@ class Weighing:
                 job.model,
                 job.starts,
                 refined=job.refined,
+                scheme=job.scheme,
                 noise=job.begins_in,
                 least=best - LOST,
                 resolved=False,

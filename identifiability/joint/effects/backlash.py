@@ -14,7 +14,8 @@ from identifiability.joint.effects.base import Motion
 from identifiability.joint.effects.soft_coupling import LINK, SoftCoupling
 from identifiability.joint.parameters import Parameter
 
-_TINY = 1e-6  # rad: keeps the slope finite where there is no gap
+_TINY = 1e-6  # rad: a contact comes over this much where there is no gap
+_SHUT = 2e-4  # rad: of a gap much smaller than this both sides touch at once, and hold the limb
 _CLEAR = 5.0  # standard deviations of a recorded angle that a gap must have, to be seen in it
 
 
@@ -22,15 +23,18 @@ class Backlash(SoftCoupling):
     r"""Play of handle, cuff or gear: a link with a gap.
 
     .. math::
-        T = k\,(\sigma(s + s_0) - \sigma(s_0) + \tau\, \sigma'(s + s_0)\, \dot s), \qquad
-        \sigma(x) = x + \frac{1}{2}\left[\sqrt{(x - g)^2 + r^2} - \sqrt{(x + g)^2 + r^2}\right],
-        \qquad r = \rho g, \quad s_0 = p\,g
+        T = k\,(P(s + s_0, \dot s) - P(-s - s_0, -\dot s) - T_0), \qquad
+        P(x, v) = \max(c,\, \alpha c), \quad
+        c = d(x - g) + \tau\, d'(x - g)\, v, \quad s_0 = p\,g
 
-    with the bodies of a soft coupling, which it is without its gap g to either side. Contact comes
-    over a part of the gap, a tenth in the plain form. At the operating point the link is s_0 away
-    from the middle of its play: less than the gap where the limb hangs free, more where gravity or
-    muscle press it against one side. Play vanishes with the gap, and with it the link as its
-    stiffness goes to infinity.
+    with the bodies of a soft coupling, which it is without its gap g to either side. Either side
+    pushes and does not pull, but for a part alpha of its damping where it is sticky. It is pressed
+    by d, which is 0 up to -r, the stretch beyond the gap from r on, and smooth between: r is a part
+    rho of the gap, a tenth in the plain form. At the operating point, where the link carries T_0,
+    it is s_0 away from the middle of its play: less than the gap where the limb hangs free, more
+    where gravity or muscle press it against one side. Play vanishes with the gap, for of one much
+    smaller than 0.2 mrad both sides hold at once, and with it the link as its stiffness goes to
+    infinity.
     """
 
     key = "backlash"
@@ -64,6 +68,17 @@ class Backlash(SoftCoupling):
             ends_form=True,
         ),
         Parameter(
+            "stickiness",
+            r"\alpha",
+            "1",
+            nominal=0.0,
+            lower=0.0,
+            upper=1.0,
+            plain=0.0,
+            description="part of the damping that pulls where the contact opens",
+            ends_form=True,
+        ),
+        Parameter(
             "place",
             "p",
             "1",
@@ -81,11 +96,17 @@ class Backlash(SoftCoupling):
         self, p: Sequence[Array], motion: Motion, states: Array, delayed: Motion
     ) -> ArrayLike:
         """Torque [Nm] of the link at a stretch of ``motion.angle`` rad."""
-        stiffness, time, _, gap, rounding, place = p
-        at_rest, width = place * gap, rounding * gap
-        pressed, touch = _pressed(motion.angle + at_rest, gap, width)
-        beyond = pressed - _pressed(at_rest, gap, width)[0]
-        return stiffness * (beyond + time * touch * motion.velocity)
+        stiffness, time, _, gap, rounding, stickiness, place = p
+        at_rest, width, rate = place * gap, rounding * gap + _TINY, time * motion.velocity
+        pulls = 1 - (1 - stickiness) * gap**2 / (gap**2 + _SHUT**2)
+
+        def contact(stretch: Array, rate: Array | float) -> Array:
+            ahead = _push(stretch - gap, rate, width, pulls)
+            return ahead - _push(-stretch - gap, -rate, width, pulls)
+
+        return stiffness * (
+            contact(jnp.asarray(motion.angle) + at_rest, rate) - contact(at_rest, 0.0)
+        )
 
     def pace(self, values: Mapping[str, float]) -> float:
         """Fastest rate [1/s] of the two bodies in contact."""
@@ -104,10 +125,10 @@ class Backlash(SoftCoupling):
         )
 
 
-def _pressed(stretch: ArrayLike, gap: Array, rounding: Array) -> tuple[Array, Array]:
-    """How far a link is pressed beyond its gap, and its slope."""
-    stretch, corner = jnp.asarray(stretch), rounding**2 + _TINY**2
-    ahead = jnp.sqrt((stretch - gap) ** 2 + corner)
-    behind = jnp.sqrt((stretch + gap) ** 2 + corner)
-    pressed = stretch + 0.5 * (ahead - behind)
-    return pressed, 1 + 0.5 * ((stretch - gap) / ahead - (stretch + gap) / behind)
+def _push(beyond: ArrayLike, rate: ArrayLike, width: Array, pulls: Array) -> Array:
+    """Push of one side of a gap, over the link's stiffness, from the stretch beyond the gap."""
+    u = jnp.clip(beyond / width, -1.0, 1.0)
+    # A cubic's slope from 0 to 1: smooth to the second derivative, and 0 inside the gap.
+    depth = width * (1 + u) ** 3 * (3 - u) / 16 + jnp.maximum(beyond - width, 0.0)
+    push = depth + (1 + u) ** 2 * (2 - u) / 4 * rate
+    return jnp.maximum(push, pulls * push)
