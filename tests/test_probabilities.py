@@ -295,8 +295,8 @@ def test_a_model_is_integrated_as_finely_as_telling_it_from_others_asks(monkeypa
     asked, fitted = [], []
     finer, settled = Evaluator._finer, Evaluator.settled
 
-    def asking(problem, found):
-        asked.append(finer(problem, found))
+    def asking(problem, found, most):
+        asked.append(finer(problem, found, most))
         return asked[-1]
 
     def fitting(self, problem, *arguments, **options):

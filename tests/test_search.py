@@ -14,7 +14,7 @@ from identifiability.investigation.fits.candidate import unfitted
 from identifiability.investigation.ladder.climb import found_of
 from identifiability.investigation.posterior import evidence
 from identifiability.investigation.posterior.claim import Claim
-from identifiability.investigation.posterior.evidence import Evaluator
+from identifiability.investigation.posterior.evidence import SHOWN, Evaluator
 from identifiability.investigation.posterior.jobs import exchanged
 from identifiability.investigation.posterior.search import _Search
 from identifiability.investigation.posterior.signatures import strongest
@@ -23,6 +23,7 @@ from identifiability.investigation.session import Investigation
 from identifiability.joint.effects import EFFECTS
 from identifiability.joint.model import KBI
 from identifiability.joint.response import simulate
+from identifiability.joint.scheme import MOST_SUBSTEPS
 from identifiability.measurement.perturbations import SampledTorque
 from identifiability.measurement.trials import Trial
 from identifiability.progress import silent
@@ -359,10 +360,10 @@ def test_what_cannot_be_integrated_has_no_evidence(monkeypatch):
     assert len(list(weighing.weigh(jobs))) == 3
     finer = Evaluator._finer
 
-    def refuse(problem, found):
+    def refuse(problem, found, most):
         if "cubic_stiffness" in problem.model.effect_keys:
             raise InputError("too fast for its samples")
-        return finer(problem, found)
+        return finer(problem, found, most)
 
     monkeypatch.setattr(Evaluator, "_finer", staticmethod(refuse))
     weighing.take_up([(), ("cubic_stiffness",), ("sensor_delay",)])
@@ -376,12 +377,37 @@ def test_what_cannot_be_integrated_has_no_evidence(monkeypatch):
     better = replace(resolved, log_evidence=resolved.log_evidence + 10)
     weighing.found["sensor_delay",] = better
 
-    def never(problem, found):
+    def never(problem, found, most):
         raise InputError("too fast for its samples")
 
     monkeypatch.setattr(Evaluator, "_finer", staticmethod(never))
     weighing.take_up([("sensor_delay",)])
     assert weighing.found["sensor_delay",] is resolved
+
+
+def test_what_is_behind_is_only_looked_at_until_it_comes_near(monkeypatch):
+    study = study_of_a_pair("torque", KEYS)
+    weighing = Weighing(study._evaluator(1), KEYS)
+    one, other = (KBI() + EFFECTS[key]() for key in ("cubic_stiffness", "sensor_delay"))
+    list(weighing.weigh([Job(m, [nested_values(m, JOINT)]) for m in (KBI(), one, other)]))
+    steps, finer = {}, Evaluator._finer
+
+    def asking(problem, found, most):
+        steps.setdefault(problem.model.effect_keys, []).append(most)
+        return finer(problem, found, most)
+
+    monkeypatch.setattr(Evaluator, "_finer", staticmethod(asking))
+    ahead, behind = ("sensor_delay",), ("cubic_stiffness",)
+    weighing.take_up([ahead, behind], ahead=ahead)
+    assert set(steps[ahead]) == {MOST_SUBSTEPS}
+    assert set(steps[behind]) == {SHOWN}
+    # Not again, unless it comes near.
+    steps.clear()
+    weighing.take_up([ahead, behind], ahead=ahead)
+    assert not steps
+    weighing.take_up([ahead, behind])
+    assert steps.keys() == {behind}
+    assert set(steps[behind]) == {MOST_SUBSTEPS}
 
 
 @pytest.mark.parametrize("driven", ["torque", "angle"])

@@ -114,6 +114,10 @@ class Scheme:
             return Scheme(max(substeps // 4, 1), 4)
         return Scheme(min(substeps, MOST_SUBSTEPS), self.order)
 
+    def within(self, most: int) -> Scheme:
+        """The same in so many steps a sample at most."""
+        return replace(self, substeps=min(self.substeps, most))
+
     def between(self, readings: int) -> int:
         """Steps from one reading of an instrument to the next, of so many in an interval."""
         return -(-self.substeps // readings)

@@ -32,7 +32,7 @@ from identifiability.investigation.posterior.noises import (
 from identifiability.investigation.posterior.prior import priors_of
 from identifiability.joint.model import Model
 from identifiability.joint.programs import THREADS
-from identifiability.joint.scheme import Scheme
+from identifiability.joint.scheme import MOST_SUBSTEPS, Scheme
 
 
 class _Weighed(Protocol):
@@ -46,6 +46,8 @@ _End = TypeVar("_End", bound=_Weighed)
 NOISE_SHARE = 0.02
 """Share of the response's energy that is noise, the mean of an exponential prior: more than a few
 percent would be a poor recording. Without it noise of long memory may be the response itself."""
+SHOWN = 8
+"""Steps a sample, of 0.75 rad each, that follow what swings at half the sampling rate, twice."""
 EVALUATIONS, FURTHER = 12, 40
 """Evaluations from each start of a fit, and for the best two where that did not suffice."""
 _ROUNDS, _MOST_ROUNDS = 2, 12
@@ -54,8 +56,6 @@ _PROMISE = 10.0  # times what the last round brought, that all rounds more may b
 _SOLVER = 1.0  # squared error of the integration, all samples together, over the noise's
 _NEAR_END = 0.1  # nats, twice, that a fit's next step would bring where it ends
 _MISSED = 0.5  # nats by which a model may be less likely than one that it contains
-# Steps a sample, of 0.75 rad each, that follow what swings at half the sampling rate, twice over.
-_SHOWN = 8
 _CARRIED = 2  # starts that a fit is carried on from
 # Standard deviations of the sum of squares that what is taken off for noise of an imposed angle,
 # beyond what is at the reference, has to exceed: only what is beyond counts.
@@ -196,6 +196,7 @@ class Evaluator:
         noise: Weights | None = None,
         least: float = -np.inf,
         resolved: bool = True,
+        steps: int = MOST_SUBSTEPS,
         nested: Evaluated | None = None,
         begun: Evaluated | None = None,
     ) -> Evaluated:
@@ -216,6 +217,8 @@ class Evaluator:
             Log evidence below which a model is not fitted any further.
         resolved : bool
             Whether steps are made so short that the evidence does not depend on them.
+        steps : int
+            Most steps a sample that they are made.
         nested : Evaluated, optional
             A model that this one is more than. Where its likelihood is higher, an optimum was
             missed, and the fit goes on from there.
@@ -248,16 +251,16 @@ class Evaluator:
             while (
                 found.log_likelihood < nested.log_likelihood - _MISSED
                 and (finer := self._finer(problem, found)) is not None
-                and finer.substeps <= _SHOWN
+                and finer.substeps <= SHOWN
             ):
                 problem = problem.with_scheme(finer)
                 found = self.settled(problem, start, nested.weights, refined, rounds=1, further=0)
             best = max(best, found, key=lambda one: one.log_evidence)
-        while resolved and (finer := self._finer(problem, best)) is not None:
+        while resolved and (finer := self._finer(problem, best, steps)) is not None:
             # As fine as it takes there at once: a fit in steps that do not do would be lost.
             while finer is not None:
                 problem = problem.with_scheme(finer)
-                finer = None if finer.finest else self._finer(problem, best)
+                finer = None if finer.finest else self._finer(problem, best, steps)
             best = self.settled(problem, best.x[None], best.weights, refined, least, further=0)
         if not best.weights.estimate.rms < _DIVERGED * self.band.scale:
             raise InputError("the best response found is not finite")
@@ -334,33 +337,34 @@ class Evaluator:
         return self.evaluated(problem, found.x, weights, found.refined)
 
     @staticmethod
-    def _finer(problem: Problem, found: Evaluated) -> Scheme | None:
-        """Finer steps, where a model's own are too long to tell it from others.
+    def _finer(problem: Problem, found: Evaluated, most: int = MOST_SUBSTEPS) -> Scheme | None:
+        """Finer steps, `most` a sample, where a model's own are too long to tell it from others.
 
         Raises
         ------
         InputError
             Where no steps are fine enough.
         """
-        suited = problem.suited(problem.complete(found.x))
-        if suited.is_finer_than(problem.integration):
+        own = problem.integration
+        suited = problem.suited(problem.complete(found.x)).within(most)
+        if suited.is_finer_than(own):
             return suited
-        if problem.integration.exact:
+        if own.exact or (own.substeps >= most and not own.finest):
             return None
         moved = problem.halved().residuals(found.x) - problem.residuals(found.x)
         rows = problem.by_observation(moved[:, None])
         band = found.weights.band
         changed = band.compared(rows[: len(band.observations)], problem, differ=True)
         white = found.weights.whitened(changed)
-        error = float(np.sum(white**2)) / problem.integration.shown
+        error = float(np.sum(white**2)) / own.shown
         if not error > _SOLVER:
             return None
-        if problem.integration.finest:
+        if own.finest:
             raise InputError(
                 f"found parameters of {problem.model} too fast for samples {problem.interval:g} s "
-                f"apart, which {problem.integration} do not resolve; sample more often"
+                f"apart, which {own} do not resolve; sample more often"
             )
-        return problem.integration.improved(error / _SOLVER)
+        return own.improved(error / _SOLVER).within(most)
 
     def settled(
         self,

@@ -19,7 +19,7 @@ from identifiability.investigation.fits.kept import question
 from identifiability.investigation.posterior.evidence import Evaluated, Evaluator
 from identifiability.investigation.posterior.noises import Weights, raw_residuals
 from identifiability.joint.model import Model
-from identifiability.joint.scheme import Scheme
+from identifiability.joint.scheme import MOST_SUBSTEPS, Scheme
 from identifiability.provenance import code_fingerprint
 
 
@@ -50,12 +50,13 @@ class Evaluations:
         noise: Weights | None = None,
         least: float = -np.inf,
         resolved: bool = True,
+        steps: int = MOST_SUBSTEPS,
         nested: Evaluated | None = None,
         begun: Evaluated | None = None,
     ) -> Evaluated:
         """Evaluate a model, or take it up as it was found: see `Evaluator.evaluate`."""
         within = None if nested is None else (nested.values, nested.log_likelihood)
-        path = self._path(model, noise, starts, refined, scheme, least, resolved, within)
+        path = self._path(model, noise, starts, refined, scheme, least, resolved, steps, within)
         found = _taken_up(path, self.evaluator, model, refined)
         if found is None:
             found = self.evaluator.evaluate(
@@ -66,6 +67,7 @@ class Evaluations:
                 noise=noise,
                 least=least,
                 resolved=resolved,
+                steps=steps,
                 nested=nested,
                 begun=begun,
             )

@@ -153,7 +153,7 @@ class _Search:
         # Not the best alone: what another gains when it is integrated finer may be what decides.
         ranked = self._ranked(size)[:_TAKEN_UP]
         near = [keys for keys in ranked if not self.weighing.is_far(keys, ranked[0])]
-        self.weighing.take_up(near)
+        self.weighing.take_up(near, ahead=next(iter(ranked), None))
         for better in self.weighing.share_noise():
             if better not in self.refined:
                 self.plain[better] = known[better].log_evidence

@@ -25,7 +25,12 @@ from identifiability.investigation.posterior.discrepancy import (
     Discrepant,
     discrepancy_of,
 )
-from identifiability.investigation.posterior.evidence import Evaluated, Evaluator, best_of
+from identifiability.investigation.posterior.evidence import (
+    SHOWN,
+    Evaluated,
+    Evaluator,
+    best_of,
+)
 from identifiability.investigation.posterior.kept import Evaluations
 from identifiability.investigation.posterior.noises import Weights
 from identifiability.investigation.posterior.probabilities import (
@@ -37,7 +42,7 @@ from identifiability.investigation.rules import Rules
 from identifiability.joint.effects import DESCRIPTIONS
 from identifiability.joint.model import Model
 from identifiability.joint.programs import THREADS
-from identifiability.joint.scheme import Scheme
+from identifiability.joint.scheme import MOST_SUBSTEPS, Scheme
 from identifiability.progress import Progress, silent
 
 Keys = tuple[str, ...]
@@ -145,6 +150,8 @@ class Weighing:
         The best form of each set.
     taken_up : dict of tuple of str to Evaluated
         Those that were evaluated to the end.
+    looked_at : dict of tuple of str to Evaluated
+        Those that were so far as samples show.
     described : dict of tuple of str to dict
         By the known effects beside it, each description that was evaluated, by its key.
     screened : dict of tuple of str to float
@@ -160,6 +167,7 @@ class Weighing:
     kept: Evaluations | None = None
     found: dict[Keys, Evaluated] = field(default_factory=dict)
     taken_up: dict[Keys, Evaluated] = field(default_factory=dict)
+    looked_at: dict[Keys, Evaluated] = field(default_factory=dict)
     described: dict[Keys, dict[str, Evaluated]] = field(default_factory=dict)
     screened: dict[Keys, float] = field(default_factory=dict)
     failures: dict[str, str] = field(default_factory=dict)
@@ -269,13 +277,15 @@ class Weighing:
         if () not in self.found:
             raise InputError(f"the model to start from has no evidence: {self.failures['']}")
 
-    def take_up(self, sets: Sequence[Keys]) -> None:
+    def take_up(self, sets: Sequence[Keys], ahead: Keys | None = None) -> None:
         """Evaluate sets further, from where their fits ended, in steps that are short enough.
 
         A set for which no steps are has no evidence, whatever longer steps made of it: it counts as
-        it was before, or not at all.
+        it was before, or not at all. Where one is `ahead`, the others are only looked at, in no
+        more steps than samples show: `settle` takes up those that come near so.
         """
-        sets = [keys for keys in sets if self.taken_up.get(keys) is not self.found[keys]]
+        so_far = (self.taken_up,) if ahead is None else (self.taken_up, self.looked_at)
+        sets = [k for k in sets if all(done.get(k) is not self.found[k] for done in so_far)]
 
         def evaluated(keys: Keys) -> Evaluated:
             known = self.found[keys]
@@ -289,6 +299,7 @@ class Weighing:
                     refined=refined,
                     scheme=known.scheme,
                     noise=known.weights,
+                    steps=MOST_SUBSTEPS if ahead in (None, keys) else SHOWN,
                 ),
                 forms,
             )
@@ -311,7 +322,8 @@ class Weighing:
             # In steps that were too long a model may have seemed better than it is.
             elif found.scheme != known.scheme or found.log_evidence > known.log_evidence:
                 self.found[keys] = found
-            self.taken_up[keys] = self.found[keys]
+            done = self.taken_up if ahead in (None, keys) else self.looked_at
+            done[keys] = self.found[keys]
 
     def settle(self) -> None:
         """Take up the sets that come near, until none is left that was not.
@@ -358,8 +370,9 @@ class Weighing:
                 continue  # it stays as it was
             if found.log_evidence > self.found[keys].log_evidence + _SAME:
                 better.append(keys)
-            if self._is_taken_up(keys):
-                self.taken_up[keys] = found
+            for done in (self.taken_up, self.looked_at):
+                if done.get(keys) is self.found[keys]:
+                    done[keys] = found
             self.found[keys] = found
         return better
 
