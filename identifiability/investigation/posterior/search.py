@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from identifiability.inference.starts import starting_values
 from identifiability.investigation.fits.candidate import Candidate
 from identifiability.investigation.posterior.descriptions import renamed
-from identifiability.investigation.posterior.evidence import NOISE_SHARE, Evaluator
+from identifiability.investigation.posterior.evidence import NOISE_SHARE, SHOWN, Evaluator
 from identifiability.investigation.posterior.jobs import STARTS_BESIDE, enlarged, exchanged, richer
 from identifiability.investigation.posterior.kept import Evaluations
 from identifiability.investigation.posterior.probabilities import Probabilities
@@ -261,8 +261,9 @@ class _Search:
             joint = {name: larger.values[name] for name in ("K", "B", "I")}
             starts += starting_values(model, joint, most=STARTS_BESIDE, wide=True)
         refined = model.refinable(larger.refined)
-        # In longer steps it might not be as likely even where the effect that is gone does nothing.
-        scheme = None if model.linear else larger.scheme
+        # In longer steps it might not be as likely even where the effect that is gone does nothing;
+        # what takes more than samples show may be that effect.
+        scheme = None if model.linear else larger.scheme.within(SHOWN)
         return Job(model, starts, refined, larger.weights, scheme=scheme)
 
     def leaves_much(self) -> bool:
