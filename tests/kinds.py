@@ -46,7 +46,7 @@ KBI_VALUES = {"K": 50.0, "B": 2.0, "I": 0.1}
 # Values away from the plain form, and from where a response bends as a function of a parameter:
 # an asymmetry or a threshold of 0, a delay of whole samples; and where all of them show.
 GENERIC = {
-    "backlash": {"place": 0.9},
+    "backlash": {"place": 0.9, "rounding": 0.3, "stickiness": 0.3},
     "coulomb_friction": {
         "velocity": 0.07,
         "damping": 0.5,
