@@ -23,7 +23,7 @@ from identifiability.investigation.session import Investigation
 from identifiability.joint.effects import EFFECTS
 from identifiability.joint.model import KBI
 from identifiability.joint.response import simulate
-from identifiability.joint.scheme import MOST_SUBSTEPS
+from identifiability.joint.scheme import MOST_SUBSTEPS, Scheme
 from identifiability.measurement.perturbations import SampledTorque
 from identifiability.measurement.trials import Trial
 from identifiability.progress import silent
@@ -397,17 +397,42 @@ def test_what_is_behind_is_only_looked_at_until_it_comes_near(monkeypatch):
         return finer(problem, found, most)
 
     monkeypatch.setattr(Evaluator, "_finer", staticmethod(asking))
-    ahead, behind = ("sensor_delay",), ("cubic_stiffness",)
-    weighing.take_up([ahead, behind], ahead=ahead)
-    assert set(steps[ahead]) == {MOST_SUBSTEPS}
+    sets = [("sensor_delay",), ("cubic_stiffness",)]
+    ahead, behind = sorted(sets, key=lambda keys: -weighing.found[keys].log_evidence)
+    weighing.look_at(sets)
+    # The best as far as samples show, then to the end; the other not further.
+    assert steps[ahead][-1] == MOST_SUBSTEPS
     assert set(steps[behind]) == {SHOWN}
     # Not again, unless it comes near.
     steps.clear()
-    weighing.take_up([ahead, behind], ahead=ahead)
+    weighing.look_at(sets)
     assert not steps
-    weighing.take_up([ahead, behind])
+    weighing.take_up(sets)
     assert steps.keys() == {behind}
     assert set(steps[behind]) == {MOST_SUBSTEPS}
+
+
+def test_what_leads_a_size_was_evaluated_to_the_end(monkeypatch):
+    """Also where what led before falls behind once its steps are short enough."""
+    study = study_of_a_pair("torque", KEYS)
+    weighing = Weighing(study._evaluator(1), KEYS)
+    one, other = (KBI() + EFFECTS[key]() for key in ("cubic_stiffness", "sensor_delay"))
+    list(weighing.weigh([Job(m, [nested_values(m, JOINT)]) for m in (KBI(), one, other)]))
+    sets = [("sensor_delay",), ("cubic_stiffness",)]
+    ahead, behind = sorted(sets, key=lambda keys: -weighing.found[keys].log_evidence)
+    resolved = Evaluator.resolved
+
+    def falling(self, found, least=-np.inf, steps=MOST_SUBSTEPS):
+        best = resolved(self, found, least, steps)
+        if steps < MOST_SUBSTEPS or best.model.effect_keys != ahead:
+            return best
+        finer = best.problem.with_scheme(Scheme(MOST_SUBSTEPS))
+        return replace(best, problem=finer, log_evidence=best.log_evidence - 1e4)
+
+    monkeypatch.setattr(Evaluator, "resolved", falling)
+    weighing.look_at(sets)
+    assert weighing.found[behind].log_evidence > weighing.found[ahead].log_evidence
+    assert {ahead, behind} <= weighing.taken_up.keys()
 
 
 @pytest.mark.parametrize("driven", ["torque", "angle"])

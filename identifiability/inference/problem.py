@@ -325,7 +325,7 @@ class Problem:
         """
         if self.integration.exact:
             return 0.0
-        moved = self.halved().residuals(x) - self.residuals(x)
+        moved = self.halved().values(x) - self.values(x)
         return float(moved @ moved) / self.n_samples / self.integration.shown
 
     def resolved(self, x: np.ndarray, share: float = 0.1) -> Problem:
@@ -380,6 +380,10 @@ class Problem:
     def residuals(self, x: np.ndarray) -> np.ndarray:
         """Whitened residuals, model minus measurement; 0 at samples that are not compared."""
         return self._linearise(x)[0]
+
+    def values(self, x: np.ndarray) -> np.ndarray:
+        """`residuals`, without computing their derivatives as well."""
+        return self._evaluation(()).whitened(x)[:, 0]
 
     def jacobian(self, x: np.ndarray) -> np.ndarray:
         """Derivatives of the whitened residuals, shape (n_residuals, n_free)."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -113,6 +114,13 @@ class Scheme:
         if self.order == 2 and substeps > _MOST_SECOND:
             return Scheme(max(substeps // 4, 1), 4)
         return Scheme(min(substeps, MOST_SUBSTEPS), self.order)
+
+    def up_to(self, finest: Scheme) -> Iterator[Scheme]:
+        """Schemes each finer than the one before, from this one to another, both left out."""
+        scheme = self.improved(1.0)
+        while finest.is_finer_than(scheme):
+            yield scheme
+            scheme = scheme.improved(1.0)
 
     def within(self, most: int) -> Scheme:
         """The same in so many steps a sample at most."""

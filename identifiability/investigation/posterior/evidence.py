@@ -256,15 +256,23 @@ class Evaluator:
                 problem = problem.with_scheme(finer)
                 found = self.settled(problem, start, nested.weights, refined, rounds=1, further=0)
             best = max(best, found, key=lambda one: one.log_evidence)
-        while resolved and (finer := self._finer(problem, best, steps)) is not None:
+        return self.resolved(best, least, steps) if resolved else _finite(best)
+
+    def resolved(
+        self, found: Evaluated, least: float = -np.inf, steps: int = MOST_SUBSTEPS
+    ) -> Evaluated:
+        """A model fitted on in steps so short that its evidence does not depend on them.
+
+        Arguments as for `evaluate`, which says when there is none.
+        """
+        best, problem = found, found.problem
+        while (finer := self._finer(problem, best, steps)) is not None:
             # As fine as it takes there at once: a fit in steps that do not do would be lost.
             while finer is not None:
                 problem = problem.with_scheme(finer)
                 finer = None if finer.finest else self._finer(problem, best, steps)
-            best = self.settled(problem, best.x[None], best.weights, refined, least, further=0)
-        if not best.weights.estimate.rms < _DIVERGED * self.band.scale:
-            raise InputError("the best response found is not finite")
-        return best
+            best = self.settled(problem, best.x[None], best.weights, best.refined, least, further=0)
+        return _finite(best)
 
     def _begun(
         self,
@@ -340,31 +348,39 @@ class Evaluator:
     def _finer(problem: Problem, found: Evaluated, most: int = MOST_SUBSTEPS) -> Scheme | None:
         """Finer steps, `most` a sample, where a model's own are too long to tell it from others.
 
+        Its own are held against those that its pace there asks for, or against steps half as long.
+
         Raises
         ------
         InputError
             Where no steps are fine enough.
         """
-        own = problem.integration
-        suited = problem.suited(problem.complete(found.x)).within(most)
-        if suited.is_finer_than(own):
-            return suited
+        own, band = problem.integration, found.weights.band
         if own.exact or (own.substeps >= most and not own.finest):
             return None
-        moved = problem.halved().residuals(found.x) - problem.residuals(found.x)
-        rows = problem.by_observation(moved[:, None])
-        band = found.weights.band
-        changed = band.compared(rows[: len(band.observations)], problem, differ=True)
-        white = found.weights.whitened(changed)
-        error = float(np.sum(white**2)) / own.shown
-        if not error > _SOLVER:
+        suited = problem.suited(problem.complete(found.x)).within(most)
+        reference = suited if suited.is_finer_than(own) else own.halved
+        expected = problem.with_scheme(reference).values(found.x)
+
+        def error(scheme: Scheme) -> float:
+            """Squared error over the noise's."""
+            moved = expected - problem.with_scheme(scheme).values(found.x)
+            rows = problem.by_observation(moved[:, None])
+            changed = band.compared(rows[: len(band.observations)], problem, differ=True)
+            white = found.weights.whitened(changed)
+            return float(np.sum(white**2)) / own.shown
+
+        if (excess := error(own)) <= _SOLVER:
             return None
         if own.finest:
             raise InputError(
                 f"found parameters of {problem.model} too fast for samples {problem.interval:g} s "
                 f"apart, which {own} do not resolve; sample more often"
             )
-        return own.improved(error / _SOLVER).within(most)
+        if reference is suited:
+            # What steps of higher order leave, those of lower order do not say.
+            return next((fewer for fewer in own.up_to(suited) if error(fewer) <= _SOLVER), suited)
+        return own.improved(excess / _SOLVER).within(most)
 
     def settled(
         self,
@@ -553,6 +569,13 @@ class Evaluator:
         if problem.upper[i] < parameter.upper and name not in self.band.bounds:
             return False
         return parameter.null is None and not parameter.ends_form
+
+
+def _finite(found: Evaluated) -> Evaluated:
+    """The same, where it has a response."""
+    if not found.weights.estimate.rms < _DIVERGED * found.weights.band.scale:
+        raise InputError("the best response found is not finite")
+    return found
 
 
 def _carried(problem: Problem) -> int:

@@ -74,6 +74,18 @@ class Evaluations:
             _keep(found, path)
         return found
 
+    def resolved(
+        self, found: Evaluated, least: float = -np.inf, steps: int = MOST_SUBSTEPS
+    ) -> Evaluated:
+        """Fit a model on in shorter steps, or take that up: see `Evaluator.resolved`."""
+        how = found.values, found.refined, found.scheme, least, steps
+        path = self._path(found.model, found.weights, "resolved", *how)
+        best = _taken_up(path, self.evaluator, found.model, found.refined)
+        if best is None:
+            best = self.evaluator.resolved(found, least, steps)
+            _keep(best, path)
+        return best
+
     def roughly(
         self,
         model: Model,

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from identifiability.inference.starts import starting_values
 from identifiability.investigation.fits.candidate import Candidate
 from identifiability.investigation.posterior.descriptions import renamed
-from identifiability.investigation.posterior.evidence import NOISE_SHARE, SHOWN, Evaluator
+from identifiability.investigation.posterior.evidence import NOISE_SHARE, Evaluator
 from identifiability.investigation.posterior.jobs import STARTS_BESIDE, enlarged, exchanged, richer
 from identifiability.investigation.posterior.kept import Evaluations
 from identifiability.investigation.posterior.probabilities import Probabilities
@@ -153,7 +153,7 @@ class _Search:
         # Not the best alone: what another gains when it is integrated finer may be what decides.
         ranked = self._ranked(size)[:_TAKEN_UP]
         near = [keys for keys in ranked if not self.weighing.is_far(keys, ranked[0])]
-        self.weighing.take_up(near, ahead=next(iter(ranked), None))
+        self.weighing.look_at(near)
         for better in self.weighing.share_noise():
             if better not in self.refined:
                 self.plain[better] = known[better].log_evidence
@@ -261,10 +261,8 @@ class _Search:
             joint = {name: larger.values[name] for name in ("K", "B", "I")}
             starts += starting_values(model, joint, most=STARTS_BESIDE, wide=True)
         refined = model.refinable(larger.refined)
-        # In longer steps it might not be as likely even where the effect that is gone does nothing;
-        # what takes more than samples show may be that effect.
-        scheme = None if model.linear else larger.scheme.within(SHOWN)
-        return Job(model, starts, refined, larger.weights, scheme=scheme)
+        # In longer steps it might not be as likely even where the effect that is gone does nothing.
+        return Job(model, starts, refined, larger.weights, looked_at=True)
 
     def leaves_much(self) -> bool:
         """Whether the most probable set leaves more than the noise of a good recording."""

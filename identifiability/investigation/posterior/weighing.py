@@ -42,7 +42,7 @@ from identifiability.investigation.rules import Rules
 from identifiability.joint.effects import DESCRIPTIONS
 from identifiability.joint.model import Model
 from identifiability.joint.programs import THREADS
-from identifiability.joint.scheme import MOST_SUBSTEPS, Scheme
+from identifiability.joint.scheme import MOST_SUBSTEPS
 from identifiability.progress import Progress, silent
 
 Keys = tuple[str, ...]
@@ -89,8 +89,9 @@ class Job:
         The model that this one is more than; its noise is started from instead.
     begun : Evaluated or None
         The fit to a part of a long record, where it was begun.
-    scheme : Scheme or None
-        Steps to start with; what the model asks for by default.
+    looked_at : bool
+        Whether it is fitted on in as many steps as it asks for where its fit ends, and samples
+        show.
     """
 
     model: Model
@@ -99,7 +100,7 @@ class Job:
     noise: Weights | None = None
     nested: Evaluated | None = None
     begun: Evaluated | None = None
-    scheme: Scheme | None = None
+    looked_at: bool = False
 
     @property
     def begins_in(self) -> Weights | None:
@@ -191,17 +192,19 @@ class Weighing:
         best = max((f.log_evidence for f in self.found.values()), default=-np.inf)
 
         def evaluated(job: Job) -> Evaluated:
-            return self._evaluations.evaluate(
+            found = self._evaluations.evaluate(
                 job.model,
                 job.starts,
                 refined=job.refined,
-                scheme=job.scheme,
                 noise=job.begins_in,
                 least=best - LOST,
                 resolved=False,
                 nested=job.nested,
                 begun=job.begun,
             )
+            if not job.looked_at:
+                return found
+            return self._evaluations.resolved(found, best - LOST, SHOWN)
 
         for job, found in zip(jobs, _side_by_side(evaluated, jobs), strict=True):
             self._keep(job.model, found)
@@ -277,33 +280,62 @@ class Weighing:
         if () not in self.found:
             raise InputError(f"the model to start from has no evidence: {self.failures['']}")
 
-    def take_up(self, sets: Sequence[Keys], ahead: Keys | None = None) -> None:
-        """Evaluate sets further, from where their fits ended, in steps that are short enough.
+    def look_at(self, sets: Sequence[Keys]) -> None:
+        """Evaluate sets further, in no more steps than samples show; the best of them to the end.
+
+        Of the others `settle` takes up those that come near so.
+        """
+        done = (self.taken_up, self.looked_at)
+        new = [k for k in sets if all(known.get(k) is not self.found[k] for known in done)]
+        self._weigh_further(new, lambda keys: self._from_its_end(keys, SHOWN), self.looked_at)
+        # Another may lead once the first was taken up.
+        while left := [keys for keys in sets if keys in self.found]:
+            best = max(left, key=lambda keys: self.found[keys].log_evidence)
+            if self._is_taken_up(best):
+                break
+            self.take_up([best])
+
+    def take_up(self, sets: Sequence[Keys]) -> None:
+        """Evaluate sets further, in steps that are short enough.
 
         A set for which no steps are has no evidence, whatever longer steps made of it: it counts as
-        it was before, or not at all. Where one is `ahead`, the others are only looked at, in no
-        more steps than samples show: `settle` takes up those that come near so.
+        it was before, or not at all.
         """
-        so_far = (self.taken_up,) if ahead is None else (self.taken_up, self.looked_at)
-        sets = [k for k in sets if all(done.get(k) is not self.found[k] for done in so_far)]
 
         def evaluated(keys: Keys) -> Evaluated:
             known = self.found[keys]
-            # In another noise than that in which it was the better, a richer form may not be.
-            plainly = known.refined and self._comes_near_plainly(known)
-            forms = (known.refined, ()) if plainly else (known.refined,)
-            return best_of(
-                lambda refined: self._evaluations.evaluate(
-                    known.model,
-                    [known.values],
-                    refined=refined,
-                    scheme=known.scheme,
-                    noise=known.weights,
-                    steps=MOST_SUBSTEPS if ahead in (None, keys) else SHOWN,
-                ),
-                forms,
-            )
+            if self.looked_at.get(keys) is known:
+                return self._evaluations.resolved(known)
+            return self._from_its_end(keys, MOST_SUBSTEPS)
 
+        sets = [keys for keys in sets if not self._is_taken_up(keys)]
+        self._weigh_further(sets, evaluated, self.taken_up)
+
+    def _from_its_end(self, keys: Keys, steps: int) -> Evaluated:
+        """Evaluate a set from where its fit ended, in so many steps a sample at most."""
+        known = self.found[keys]
+        # In another noise than that in which it was the better, a richer form may not be.
+        plainly = known.refined and self._comes_near_plainly(known)
+        forms = (known.refined, ()) if plainly else (known.refined,)
+        return best_of(
+            lambda refined: self._evaluations.evaluate(
+                known.model,
+                [known.values],
+                refined=refined,
+                scheme=known.scheme,
+                noise=known.weights,
+                steps=steps,
+            ),
+            forms,
+        )
+
+    def _weigh_further(
+        self,
+        sets: Sequence[Keys],
+        evaluated: Callable[[Keys], Evaluated],
+        done: dict[Keys, Evaluated],
+    ) -> None:
+        """Take sets for what they are once they were evaluated further, and note it."""
         what = "weighing the most probable sets further"
         if sets:
             self.progress(what, 0, len(sets))
@@ -322,7 +354,6 @@ class Weighing:
             # In steps that were too long a model may have seemed better than it is.
             elif found.scheme != known.scheme or found.log_evidence > known.log_evidence:
                 self.found[keys] = found
-            done = self.taken_up if ahead in (None, keys) else self.looked_at
             done[keys] = self.found[keys]
 
     def settle(self) -> None:

@@ -18,6 +18,7 @@ from identifiability.joint.native.machine import LANES, spread, together
 
 _SIZE = ir.IntType(64)
 _BYTES = ir.IntType(8).as_pointer()
+_BLOCKS = (4, 2, 1)  # of so many lanes, that are taken together: as many as there are, then fewer
 
 
 @cast(Callable[..., Any], intrinsic)
@@ -100,34 +101,51 @@ def add_product(
                 (8, 9, 2),
             )
         )
-        ends, blocks = (args[10], n, _number(1)), (_number(0), width, _number(LANES))
-        total = cgutils.alloca_once(builder, ir.VectorType(ir.DoubleType(), LANES))
+        totals = [
+            cgutils.alloca_once(builder, ir.VectorType(ir.DoubleType(), LANES))
+            for _ in range(_BLOCKS[0])
+        ]
 
-        def add(one: Any, other: Any) -> None:
-            builder.store(_plus(builder, builder.load(total), one, other), total)
+        def add(k: int, one: Any, other: Any) -> None:
+            builder.store(_plus(builder, builder.load(totals[k]), one, other), totals[k])
 
-        with cgutils.for_range_slice(builder, *ends) as (i, _):
-            row = builder.mul(i, n)
-            with cgutils.for_range_slice(builder, *blocks) as (t, _):
-                target = builder.add(builder.mul(i, width), t)
-                builder.store(_read(builder, b, target), total)
-                with cgutils.for_range(builder, n) as loop:
-                    listed = builder.mul(builder.add(row, loop.index), _number(3))
-                    k, begin, end = (
-                        builder.load(builder.gep(e, [builder.add(listed, _number(m))]))
-                        for m in range(3)
-                    )
-                    with builder.if_then(builder.icmp_signed("<", k, _number(0))):
-                        loop.do_break()
-                    entry, other = builder.add(row, k), builder.mul(k, width)
-                    value = spread(builder, builder.load(builder.gep(a, [entry])))
-                    add(value, _read(builder, x, builder.add(other, t)))
-                    after = builder.icmp_signed(">=", t, begin)
-                    with builder.if_then(builder.and_(after, builder.icmp_signed("<", t, end))):
-                        seen = spread(builder, builder.load(builder.gep(x, [other])))
-                        slope = builder.add(builder.mul(entry, width), t)
-                        add(_read(builder, da, slope), seen)
-                _write(builder, y, target, builder.load(total))
+        def add_row(i: Any, t: Any, blocks: int) -> None:
+            """So many blocks of numbers of a row, side by side: each sum waits for itself."""
+            row, size = builder.mul(i, n), blocks * LANES
+            target = builder.add(builder.mul(i, width), t)
+            for k in range(blocks):
+                builder.store(_read(builder, b, _ahead(builder, target, k)), totals[k])
+            with cgutils.for_range(builder, n) as loop:
+                listed = builder.mul(builder.add(row, loop.index), _number(3))
+                j, begin, end = (
+                    builder.load(builder.gep(e, [builder.add(listed, _number(m))]))
+                    for m in range(3)
+                )
+                with builder.if_then(builder.icmp_signed("<", j, _number(0))):
+                    loop.do_break()
+                entry, other = builder.add(row, j), builder.mul(j, width)
+                value = spread(builder, builder.load(builder.gep(a, [entry])))
+                for k in range(blocks):
+                    seen = _read(builder, x, _ahead(builder, builder.add(other, t), k))
+                    add(k, value, seen)
+                past = builder.icmp_signed(">", builder.add(t, _number(size)), begin)
+                with builder.if_then(builder.and_(past, builder.icmp_signed("<", t, end))):
+                    moved = spread(builder, builder.load(builder.gep(x, [other])))
+                    slope = builder.add(builder.mul(entry, width), t)
+                    for k in range(blocks):
+                        add(k, _read(builder, da, _ahead(builder, slope, k)), moved)
+            for k in range(blocks):
+                _write(builder, y, _ahead(builder, target, k), builder.load(totals[k]))
+
+        with cgutils.for_range_slice(builder, args[10], n, _number(1)) as (i, _):
+            done = _number(0)
+            for blocks in _BLOCKS:
+                size = _number(blocks * LANES)
+                left = builder.sub(width, done)
+                whole = builder.add(done, builder.sub(left, builder.urem(left, size)))
+                with cgutils.for_range_slice(builder, done, whole, size) as (t, _):
+                    add_row(i, t, blocks)
+                done = whole
         return context.get_dummy_value()
 
     return signature, generate
@@ -225,6 +243,10 @@ def add_scaled(typing: Any, source: Any, i: Any, factor: Any, out: Any, j: Any) 
 
 def _number(value: int) -> Any:
     return ir.Constant(_SIZE, value)
+
+
+def _ahead(builder: Any, entry: Any, blocks: int) -> Any:
+    return builder.add(entry, _number(blocks * LANES))
 
 
 def _read(builder: Any, pointer: Any, entry: Any) -> Any:
