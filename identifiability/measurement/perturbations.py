@@ -15,7 +15,6 @@ from typing import ClassVar, Literal
 
 import numpy as np
 import scipy.interpolate
-import scipy.linalg
 
 from identifiability.errors import InputError
 
@@ -112,9 +111,31 @@ def _sample_of(instant: float, time: np.ndarray, what: str) -> int | None:
     return index if index < time.size else None
 
 
+def propagator(generator: np.ndarray, time: float) -> np.ndarray:
+    """What makes of a generator's states those some time later, shape (m, m).
+
+    By its Taylor series, which ends where the states are derivatives of a polynomial. Padé's
+    approximation is as exact as its largest entries only, and the smallest meet the largest states.
+
+    Parameters
+    ----------
+    generator : array, shape (m, m)
+        In 1/s.
+    time : float
+        In s; short beside the generator's periods.
+    """
+    total = term = np.eye(len(generator))
+    order = 1
+    while np.any(np.abs(term) > np.finfo(float).eps * np.abs(total)):
+        term = term @ generator * (time / order)
+        total = total + term
+        order += 1
+    return total
+
+
 def _propagate(generator: np.ndarray, jumps: np.ndarray, interval: float) -> np.ndarray:
     """Generator states after each sample's jump, shape (n, m)."""
-    step = scipy.linalg.expm(generator * interval)
+    step = propagator(generator, interval)
     states = np.zeros_like(jumps)
     states[0] = jumps[0]
     for n in range(1, len(jumps)):

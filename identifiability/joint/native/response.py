@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import scipy.linalg
 
 from identifiability.joint.instruments import readings_of
 from identifiability.joint.model import Model
@@ -13,7 +12,7 @@ from identifiability.joint.native.instruments import kind_of
 from identifiability.joint.native.kernel import Kernel, kernel_of
 from identifiability.joint.native.responding import ARRAYS, NUMBERS, respond
 from identifiability.joint.scheme import Scheme
-from identifiability.measurement.perturbations import Drive
+from identifiability.measurement.perturbations import Drive, propagator
 
 
 class Responses:
@@ -143,7 +142,7 @@ def _imposed(drive: Drive, readings: int, substeps: int) -> dict[str, np.ndarray
     generator = np.asarray(drive.generator, float)
     states, impulses = np.asarray(drive.states, float), np.asarray(drive.impulses, float)
     if readings > 1:
-        onward, rows = scipy.linalg.expm(generator * interval), [states]
+        onward, rows = propagator(generator, interval), [states]
         for _ in range(readings - 1):
             rows.append(rows[-1] @ onward.T)
         states = np.stack(rows, axis=1).reshape(readings * len(states), states.shape[1])
@@ -151,7 +150,7 @@ def _imposed(drive: Drive, readings: int, substeps: int) -> dict[str, np.ndarray
         kicks[:, 0] = impulses
         impulses = kicks.ravel()
     places = 2 * substeps
-    onward = scipy.linalg.expm(generator * interval / places) if generator.size else generator
+    onward = propagator(generator, interval / places)
     signals = [np.asarray(drive.readout, float)]
     for _ in range(places):
         signals.append(signals[-1] @ onward)
