@@ -18,6 +18,7 @@ from identifiability.joint.native.machine import LANES, spread, together
 
 _SIZE = ir.IntType(64)
 _BYTES = ir.IntType(8).as_pointer()
+_TOGETHER = ir.VectorType(ir.DoubleType(), LANES)
 _BLOCKS = (4, 2, 1)  # of so many lanes, that are taken together: as many as there are, then fewer
 
 
@@ -61,61 +62,47 @@ def place(typing: Any, address: Any) -> Any:
 
 
 @cast(Callable[..., Any], intrinsic)
-def add_product(
+def set_product(
     typing: Any,
-    bases: Any,
-    base: Any,
     matrices: Any,
     slopes: Any,
     entries: Any,
     matrix: Any,
     vectors: Any,
-    vector: Any,
     outs: Any,
     out: Any,
     first: Any,
 ) -> Any:
-    """Add the product of a matrix and a vector to a vector, from an entry on.
+    """Product of a matrix and the rows of an array, into a matrix of another, from a row on.
 
-    ``out[i, t] = base[i, t] + matrix[i, k] vector[k, t] + slopes[i, k, t] vector[k, 0]``, for
-    the matrices of these numbers in contiguous arrays, whose last axes are these; `base` may be
-    `out`, `vector` not. `entries` lists which entries there are, see `duals.list_entries`: most
-    are 0, others move with few parameters.
+    ``out[i, t] = sum of matrix[i, k] vectors[k, t] + slopes[i, k, t] vectors[k, 0]``, of contiguous
+    arrays: of the first three and of `outs` a part is taken, whose last axes these are; all rows of
+    `vectors` that there are count. `entries` lists those of the matrix that there are, see
+    `duals.list_entries`: most are 0, others move with few parameters.
     """
     which = types.intp
-    signature = types.void(
-        bases, which, matrices, slopes, entries, which, vectors, which, outs, which, which
-    )
+    signature = types.void(matrices, slopes, entries, which, vectors, outs, which, which)
 
     def generate(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         kinds = signature.args
-        n, width = _shape(context, builder, kinds[6], args[6])[-2:]
-        b, a, da, e, x, y = (
+        n, width = _shape(context, builder, kinds[5], args[5])[-2:]
+        m = _shape(context, builder, kinds[2], args[2])[-2]
+        a, da, e, y = (
             _part(context, builder, kinds[array], args[array], args[number], axes)
-            for array, number, axes in (
-                (0, 1, 2),
-                (2, 5, 2),
-                (3, 5, 3),
-                (4, 5, 3),
-                (6, 7, 2),
-                (8, 9, 2),
-            )
+            for array, number, axes in ((0, 3, 2), (1, 3, 3), (2, 3, 3), (5, 6, 2))
         )
-        totals = [
-            cgutils.alloca_once(builder, ir.VectorType(ir.DoubleType(), LANES))
-            for _ in range(_BLOCKS[0])
-        ]
+        (x,) = _places(context, builder, kinds[4:5], args[4:5])
+        totals = [cgutils.alloca_once(builder, _TOGETHER) for _ in range(_BLOCKS[0])]
 
         def add(k: int, one: Any, other: Any) -> None:
             builder.store(_plus(builder, builder.load(totals[k]), one, other), totals[k])
 
         def add_row(i: Any, t: Any, blocks: int) -> None:
             """So many blocks of numbers of a row, side by side: each sum waits for itself."""
-            row, size = builder.mul(i, n), blocks * LANES
-            target = builder.add(builder.mul(i, width), t)
+            row, size = builder.mul(i, m), blocks * LANES
             for k in range(blocks):
-                builder.store(_read(builder, b, _ahead(builder, target, k)), totals[k])
-            with cgutils.for_range(builder, n) as loop:
+                builder.store(ir.Constant(_TOGETHER, [0.0] * LANES), totals[k])
+            with cgutils.for_range(builder, m) as loop:
                 listed = builder.mul(builder.add(row, loop.index), _number(3))
                 j, begin, end = (
                     builder.load(builder.gep(e, [builder.add(listed, _number(m))]))
@@ -134,10 +121,11 @@ def add_product(
                     slope = builder.add(builder.mul(entry, width), t)
                     for k in range(blocks):
                         add(k, _read(builder, da, _ahead(builder, slope, k)), moved)
+            target = builder.add(builder.mul(i, width), t)
             for k in range(blocks):
                 _write(builder, y, _ahead(builder, target, k), builder.load(totals[k]))
 
-        with cgutils.for_range_slice(builder, args[10], n, _number(1)) as (i, _):
+        with cgutils.for_range_slice(builder, args[7], n, _number(1)) as (i, _):
             done = _number(0)
             for blocks in _BLOCKS:
                 size = _number(blocks * LANES)
@@ -164,7 +152,7 @@ def add_forced(typing: Any, forced: Any, given: Any, out: Any, first: Any) -> An
         (m,) = _shape(context, builder, signature.args[1], args[1])
         f, g, y = _places(context, builder, signature.args[:3], args[:3])
         ends, blocks = (args[3], n, _number(1)), (_number(0), width, _number(LANES))
-        total = cgutils.alloca_once(builder, ir.VectorType(ir.DoubleType(), LANES))
+        total = cgutils.alloca_once(builder, _TOGETHER)
         with (
             cgutils.for_range_slice(builder, *ends) as (i, _),
             cgutils.for_range_slice(builder, *blocks) as (t, _),

@@ -46,18 +46,18 @@ def list_entries(matrix: np.ndarray, slopes: np.ndarray, found: np.ndarray) -> N
 
     Parameters
     ----------
-    matrix : array, shape (n, n)
-    slopes : array, shape (n, n, width)
-    found : array of int, shape (n, n, 3)
+    matrix : array, shape (n, m)
+    slopes : array, shape (n, m, width)
+    found : array of int, shape (n, m, 3)
         By row, for each that is not 0, its column, the first derivative, a multiple of `LANES`, and
         behind the last; then -1.
     """
-    n, width = matrix.shape[0], slopes.shape[2]
+    n, m, width = slopes.shape
     for i in range(n):
         count = 0
-        for j in range(n):
+        for j in range(m):
             found[i, j, 0] = -1
-        for j in range(n):
+        for j in range(m):
             begin = end = 0
             for t in range(width):
                 if slopes[i, j, t] != 0.0:

@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from identifiability.joint.native.calls import add_forced, add_product, copy_row
+from identifiability.joint.native.calls import add_forced, copy_row, set_product
 from identifiability.joint.native.duals import (
     exponential,
     exponential_of_values,
@@ -115,7 +115,7 @@ def exact(machine: Machine, imposed: Imposed, by: Propagator, out: np.ndarray) -
         _values(machine, imposed, by, out)
         return
     n, width, rest = machine.rest.shape[1], out.shape[1], machine.rest
-    state, moved, nothing = np.zeros((n, width)), np.zeros((n, width)), np.zeros((n, width))
+    state, moved = np.zeros((n, width)), np.zeros((n, width))
     first = 2 if imposed.angle else 0
     if imposed.angle and n > 2:
         _settled(machine, imposed.given[0, 0], state)
@@ -134,7 +134,7 @@ def exact(machine: Machine, imposed: Imposed, by: Propagator, out: np.ndarray) -
             if imposed.impulses[k] != 0.0:
                 over_inertia(machine, imposed.impulses[k], state[1])
             copy_row(state, 0, out, k)
-        add_product(nothing, 0, by.onward, by.slopes, by.entries, 0, state, 0, moved, 0, first)
+        set_product(by.onward, by.slopes, by.entries, 0, state, moved, 0, first)
         add_forced(by.forced, imposed.states[k], moved, first)
         state, moved = moved, state
 

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from identifiability.joint.native.calls import add_product, add_rows, add_scaled, copy_row, run
+from identifiability.joint.native.calls import add_rows, add_scaled, copy_row, run, set_product
 from identifiability.joint.native.duals import (
     added,
     list_entries,
@@ -65,39 +65,43 @@ def _react(
 class Scheme(NamedTuple):
     """An exponential Runge-Kutta scheme: how stages follow from each other.
 
-    With f the rates at the points so far and p how far these are from the start, the next point is
-    from the start ``sum of parts[k, j] f[j] + sum of parts[k, count + j] p[j]``: that of the usual
-    form, in which the linear part is taken off the rates, put together.
+    The next point is as far from the start as ``parts[k]`` makes of the rates f at the points so
+    far and of how far, p, these are from the start: that of the usual form, in which the linear
+    part is taken off the rates, put together.
 
     Attributes
     ----------
     places : array of int, shape (count,)
         Place in the step of each stage: 0 (start), 1 (middle), 2 (end).
-    parts : array, shape (count, 2 * count, n, n)
-    slopes : array, shape (count, 2 * count, n, n, width)
+    parts : array, shape (count, n, 2 * count * n)
+        By stage; of all f and p, one below the other.
+    slopes : array, shape (count, n, 2 * count * n, width)
         Their derivatives; 0 in the place of the value.
-    used : array of int, shape (count, 2 * count)
-    entries : array of int, shape (count, 2 * count, n, n, 3)
-        Which there are of each part, see `duals.list_entries`.
+    entries : array of int, shape (count, n, 2 * count * n, 3)
+        Which there are of each stage, see `duals.list_entries`.
     """
 
     places: np.ndarray
     parts: np.ndarray
     slopes: np.ndarray
-    used: np.ndarray
     entries: np.ndarray
 
 
 @compiled_loop
-def _set(scheme: Scheme, stage: int, of: int, matrix: np.ndarray, size: float) -> None:
+def _add(scheme: Scheme, stage: int, of: int, matrix: np.ndarray, size: float) -> None:
     n, width = matrix.shape[0], matrix.shape[2]
-    scheme.used[stage, of] = 1
     for i in range(n):
         for j in range(n):
-            scheme.parts[stage, of, i, j] += size * matrix[i, j, 0]
+            scheme.parts[stage, i, of * n + j] += size * matrix[i, j, 0]
             for t in range(1, width):
-                scheme.slopes[stage, of, i, j, t] += size * matrix[i, j, t]
-    list_entries(scheme.parts[stage, of], scheme.slopes[stage, of], scheme.entries[stage, of])
+                scheme.slopes[stage, i, of * n + j, t] += size * matrix[i, j, t]
+
+
+@compiled_loop
+def _listed(scheme: Scheme) -> Scheme:
+    for k in range(scheme.places.size):
+        list_entries(scheme.parts[k], scheme.slopes[k], scheme.entries[k])
+    return scheme
 
 
 @compiled_loop
@@ -110,10 +114,9 @@ def scheme_of(linear: np.ndarray, step: float, order: int) -> Scheme:
     count = 2 if order == 2 else 4
     scheme = Scheme(
         np.zeros(count, np.int64),
-        np.zeros((count, 2 * count, n, n)),
-        np.zeros((count, 2 * count, n, n, width)),
-        np.zeros((count, 2 * count), np.int64),
-        np.zeros((count, 2 * count, n, n, 3), np.int64),
+        np.zeros((count, n, 2 * count * n)),
+        np.zeros((count, n, 2 * count * n, width)),
+        np.zeros((count, n, 2 * count * n, 3), np.int64),
     )
     if order == 2:
         scheme.places[1] = 2
@@ -121,27 +124,27 @@ def scheme_of(linear: np.ndarray, step: float, order: int) -> Scheme:
         for k in range(4):
             stage, of = _OF_TWO[k]
             matrix = (full[1], full[1], product, full[2])[k]
-            _set(scheme, stage, of, matrix, -step if k == 2 else step)
-        return scheme
+            _add(scheme, stage, of, matrix, -step if k == 2 else step)
+        return _listed(scheme)
     scheme.places[1] = scheme.places[2] = 1
     scheme.places[3] = 2
     for k in range(3):
-        _set(scheme, k, k, half[1], step if k == 2 else 0.5 * step)
+        _add(scheme, k, k, half[1], step if k == 2 else 0.5 * step)
     for i in range(n):
         half[0, i, i, 0] -= 1.0
     for k in range(3):
         stage, of = _FROM_START[k]
-        _set(scheme, stage, of, half[0], (-1.0, 1.0, -2.0)[k])
+        _add(scheme, stage, of, half[0], (-1.0, 1.0, -2.0)[k])
     # The weights of the stages, and what they make of the linear part.
     for j in range(4):
         added(full[2], (-3.0, 2.0, 2.0, -1.0)[j], full[3], (4.0, -4.0, -4.0, 4.0)[j], product)
         if j == 0:
             added(product, 1.0, full[1], 1.0, product)
-        _set(scheme, count - 1, j, product, step)
+        _add(scheme, count - 1, j, product, step)
         if j:
             multiplied(product, linear, whole)
-            _set(scheme, count - 1, count + j, whole, -step)
-    return scheme
+            _add(scheme, count - 1, count + j, whole, -step)
+    return _listed(scheme)
 
 
 @compiled_loop
@@ -340,23 +343,8 @@ def integrated(
             copy_row(points, k * n + 1, known, rates * n)
             if k == n_stages:
                 break
-            base, moved = nothing, away + k + 1
-            for j in range(2 * n_stages):
-                if scheme.used[k, j]:
-                    add_product(
-                        known,
-                        base,
-                        scheme.parts,
-                        scheme.slopes,
-                        scheme.entries,
-                        2 * n_stages * k + j,
-                        known,
-                        j,
-                        known,
-                        moved,
-                        first,
-                    )
-                    base = moved
+            moved = away + k + 1
+            set_product(scheme.parts, scheme.slopes, scheme.entries, k, known, known, moved, first)
             add_rows(points, 0, known, moved, points, k + 1, first)
         if idle or index == n_steps:
             continue
