@@ -334,6 +334,25 @@ def test_a_model_is_integrated_as_finely_as_telling_it_from_others_asks(monkeypa
     assert exact.log_evidence - coarse.log_evidence > 20
 
 
+@pytest.mark.parametrize(("torque", "noise", "finer"), [(0.2, 1e-5, False), (20.0, 3e-5, True)])
+def test_no_finer_than_the_record_can_show_however_fast_a_model_may_be(torque, noise, finer):
+    """A pace is that of a typical motion; a small one does not come to what is fast."""
+    random = np.random.default_rng(6)
+    time = np.arange(300) / 100
+    torque = torque * np.sign(np.sin(2 * np.pi * 2 * time)) * (time > 0.1)
+    model = KBI() + EFFECTS["cubic_stiffness"]()
+    values = START | {"cubic_stiffness.coefficient": 3e4}
+    angle = simulate(model, model.vector(values), SampledTorque(torque).drive(time))
+    angle = angle + noise * random.standard_normal(time.size)
+    evaluator = evaluator_for([Trial(time, torque, angle, driven="torque", name="cubic")])
+    found = evaluator.evaluate(model, [values], scheme=Scheme(1, 4))
+    suited = found.problem.suited(found.problem.complete(found.x))
+    assert suited.is_finer_than(Scheme(1, 4))
+    assert found.scheme.is_finer_than(Scheme(1, 4)) == finer
+    exact = evaluator.as_it_is(replace(found, problem=found.problem.with_scheme(Scheme(64, 4))))
+    assert abs(found.log_evidence - exact.log_evidence) < 2
+
+
 # Starts
 
 
@@ -830,7 +849,7 @@ def test_a_small_second_effect_may_only_mend_the_equations_of_the_first(added, r
     both = one + added * np.array([1.0, 1.0, -1.0, -1.0])
     keys = {(): none, ("gravity",): one, ("gravity", "second_mass"): both}
     log_evidence = dict(zip(keys, (0.0, 100.0, 150.0), strict=True))
-    named = weighing_of(keys, log_evidence, rules=rules)._named({})
+    named = weighing_of(keys, log_evidence, rules=rules).together.named({})
     odds = np.exp(named["gravity", "second_mass"] - named["gravity",])
     assert odds > 1e6 if sure else 1 < odds < 10
 
@@ -871,7 +890,7 @@ def test_a_discrepancy_is_weighed_once_until_what_it_follows_from_is_another(dri
     rows = []
     for one in (found, found, replace(found)):
         weighing.found[()] = one
-        rows.append([(row.effects, row.log_evidence) for row in weighing.posterior().rows])
+        rows.append([(row.effects, row.log_evidence) for row in weighing.together.posterior().rows])
     assert len(asked) == 2
     assert rows[0] == rows[1] == rows[2]
 

@@ -370,7 +370,7 @@ def test_what_cannot_be_integrated_has_no_evidence(monkeypatch):
     assert ("cubic_stiffness",) not in weighing.found
     assert weighing.failures["cubic_stiffness"] == "too fast for its samples"
     assert () in weighing.found
-    assert all(row.effects != ("cubic_stiffness",) for row in weighing.posterior().rows)
+    assert all(row.effects != ("cubic_stiffness",) for row in weighing.together.posterior().rows)
     # It counts as it was before, where that could be integrated.
     resolved = weighing.found["sensor_delay",]
     assert weighing.taken_up["sensor_delay",] is resolved

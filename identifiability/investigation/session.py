@@ -32,13 +32,13 @@ from identifiability.investigation.next_experiment import (
 )
 from identifiability.investigation.posterior.band import band_of
 from identifiability.investigation.posterior.claim import Claim, claim_of
+from identifiability.investigation.posterior.combining import log_prior
 from identifiability.investigation.posterior.evidence import Evaluator
 from identifiability.investigation.posterior.kept import Evaluations
 from identifiability.investigation.posterior.nested import weigh_nested
 from identifiability.investigation.posterior.probabilities import Probabilities
 from identifiability.investigation.posterior.reference import evaluator_of
 from identifiability.investigation.posterior.search import weigh
-from identifiability.investigation.posterior.weighing import log_prior
 from identifiability.investigation.rules import Rules
 from identifiability.investigation.smallest_seen.detectable import Detectable, detectable
 from identifiability.investigation.split import Split, gather

@@ -359,7 +359,7 @@ class Session:
             The present one by default.
         """
         second = self.now if second is None else second
-        prior = self._weighing.log_prior
+        prior = self._weighing.together.log_prior
         nats = first.log_evidence + prior(len(first.added))
         nats -= second.log_evidence + prior(len(second.added))
         return Difference(first, second, nats, self.study)

@@ -58,4 +58,4 @@ def weigh_nested(
         progress("weighing without the held-out trials", i + 1, len(jobs))
     weighing.require_base()
     weighing.settle()
-    return weighing.posterior()
+    return weighing.together.posterior()

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 
 from identifiability.inference.starts import starting_values
 from identifiability.investigation.fits.candidate import Candidate
+from identifiability.investigation.posterior.combining import LOST, Combining, Keys
 from identifiability.investigation.posterior.descriptions import renamed
 from identifiability.investigation.posterior.evidence import NOISE_SHARE, Evaluator
 from identifiability.investigation.posterior.jobs import STARTS_BESIDE, enlarged, exchanged, richer
@@ -14,7 +15,7 @@ from identifiability.investigation.posterior.kept import Evaluations
 from identifiability.investigation.posterior.probabilities import Probabilities
 from identifiability.investigation.posterior.signatures import strongest
 from identifiability.investigation.posterior.stepwise import Step, stepwise
-from identifiability.investigation.posterior.weighing import LOST, Job, Keys, Weighing
+from identifiability.investigation.posterior.weighing import Job, Weighing
 from identifiability.investigation.rules import Rules
 from identifiability.joint.effects import Effect
 from identifiability.progress import Progress, silent
@@ -120,6 +121,11 @@ class _Search:
     exchanged: set[Keys] = field(default_factory=set)
     plain: dict[Keys, float] = field(default_factory=dict)
 
+    @property
+    def together(self) -> Combining:
+        """What puts the sets together."""
+        return self.weighing.together
+
     def add(self, what: str, jobs: Sequence[Job]) -> None:
         """Weigh some models, and say how far this has come."""
         for i, _ in enumerate(self.weighing.weigh(jobs)):
@@ -152,7 +158,7 @@ class _Search:
         known = self.weighing.found
         # Not the best alone: what another gains when it is integrated finer may be what decides.
         ranked = self._ranked(size)[:_TAKEN_UP]
-        near = [keys for keys in ranked if not self.weighing.is_far(keys, ranked[0])]
+        near = [keys for keys in ranked if not self.together.is_far(keys, ranked[0])]
         self.weighing.look_at(near)
         for better in self.weighing.share_noise():
             if better not in self.refined:
@@ -170,7 +176,7 @@ class _Search:
         """
         found = self.weighing.found
         for _ in range(_BACK):
-            keys, before = max(found, key=self.weighing.score), set(self.enlarged)
+            keys, before = max(found, key=self.together.score), set(self.enlarged)
             if keys not in self.plainer:
                 self.plainer.add(keys)
                 self.add("plainer forms", self._plainer(keys))
@@ -178,7 +184,7 @@ class _Search:
                 self.reduced.add(keys)
                 rests = _without_one(keys)
                 self.add(f"{' + '.join(keys)} without one", [self._rest(keys, r) for r in rests])
-                keys = max((r for r in rests if r in found), key=self.weighing.score, default=())
+                keys = max((r for r in rests if r in found), key=self.together.score, default=())
                 if keys and keys == self.best(len(keys)) and keys not in self.enlarged:
                     self.enlarge(keys)
             if before == set(self.enlarged):
@@ -209,7 +215,7 @@ class _Search:
 
     def _close(self) -> list[Keys]:
         """The most probable set, and those that come near."""
-        score = self.weighing.score
+        score = self.together.score
         ranked = sorted(self.weighing.found, key=lambda keys: -score(keys))
         return [k for k in ranked if score(k) > score(ranked[0]) - _CLOSE][:_MOST_CLOSE]
 
@@ -267,7 +273,7 @@ class _Search:
     def leaves_much(self) -> bool:
         """Whether the most probable set leaves more than the noise of a good recording."""
         weighing = self.weighing
-        likely = weighing.found[max(weighing.found, key=weighing.score)]
+        likely = weighing.found[max(weighing.found, key=weighing.together.score)]
         share = (likely.weights.estimate.rms / weighing.evaluator.band.scale) ** 2
         return share > NOISE_SHARE
 
@@ -329,11 +335,11 @@ class _Search:
 
     def improves(self, keys: Keys) -> bool:
         """Whether a set is more probable than the best with one effect less."""
-        return self.weighing.score(keys) > self.weighing.score(self._smaller(keys))
+        return self.together.score(keys) > self.together.score(self._smaller(keys))
 
     def only_mends(self, keys: Keys) -> bool:
         """Whether a set does no more than mend the equations of the best with one effect less."""
-        return len(keys) > 1 and self.weighing.mends(self._smaller(keys), keys)
+        return len(keys) > 1 and self.together.mends(self._smaller(keys), keys)
 
     def was_poor(self, keys: Keys) -> bool:
         """Whether a set leaves so much less than the best with one effect less.

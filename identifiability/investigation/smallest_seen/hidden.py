@@ -209,7 +209,7 @@ class Hidden:
         base = known.model.model.effect_keys
         weighing = Weighing(known.evaluator, known.library, base, known.rules)
         weighing.found = {(): smaller, (self.key,): larger}
-        posterior = weighing.posterior()
+        posterior = weighing.together.posterior()
         there = posterior.of([self.key])
         else_ = sum(row.probability for row in posterior.rows if row.effects != (self.key,))
         asked = known.rules.claimed / (1 - known.rules.claimed)
