@@ -194,7 +194,7 @@ def test_a_look_alike_stands_in_for_each_effect_of_the_most_probable_sets(driven
     truth = ("cubic_stiffness", "sensor_delay")
     assert truth not in weighing.found
     search.exchange(2)
-    assert max(weighing.found, key=weighing.score) == truth
+    assert max(weighing.found, key=weighing.together.score) == truth
     # Neither the pair that it came from nor itself has anything left to be exchanged.
     known = dict(weighing.found)
     search.exchange(2)
