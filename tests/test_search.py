@@ -400,12 +400,15 @@ def test_what_is_behind_is_only_looked_at_until_it_comes_near(monkeypatch):
     sets = [("sensor_delay",), ("cubic_stiffness",)]
     ahead, behind = sorted(sets, key=lambda keys: -weighing.found[keys].log_evidence)
     weighing.look_at(sets)
+    assert set(steps[ahead]) == set(steps[behind]) == {SHOWN}
+    weighing.take_up_best(sets)
     # The best as far as samples show, then to the end; the other not further.
     assert steps[ahead][-1] == MOST_SUBSTEPS
     assert set(steps[behind]) == {SHOWN}
     # Not again, unless it comes near.
     steps.clear()
     weighing.look_at(sets)
+    weighing.take_up_best(sets)
     assert not steps
     weighing.take_up(sets)
     assert steps.keys() == {behind}
@@ -431,6 +434,7 @@ def test_what_leads_a_size_was_evaluated_to_the_end(monkeypatch):
 
     monkeypatch.setattr(Evaluator, "resolved", falling)
     weighing.look_at(sets)
+    weighing.take_up_best(sets)
     assert weighing.found[behind].log_evidence > weighing.found[ahead].log_evidence
     assert {ahead, behind} <= weighing.taken_up.keys()
 

@@ -22,6 +22,9 @@ from identifiability.progress import Progress, silent
 
 _SEEN = 6  # effects that are added to a set that has effects already
 _TAKEN_UP = 3  # sets of one size that are evaluated further, at most
+# Effects up to which the best set is evaluated to the end before anything is added to it: of more
+# that takes minutes where contacts are hard, and the most probable ones are in the end anyway.
+_TO_THE_END = 2
 _REFINED = 3  # sets of one size that are refined, at most
 _WORTH_REFINING = 3.0  # nats before K, B and I alone
 # Nats, or the share of what the best of its size gained, from which a set behind it is not refined:
@@ -160,6 +163,8 @@ class _Search:
         ranked = self._ranked(size)[:_TAKEN_UP]
         near = [keys for keys in ranked if not self.together.is_far(keys, ranked[0])]
         self.weighing.look_at(near)
+        if size <= _TO_THE_END:
+            self.weighing.take_up_best(near)
         for better in self.weighing.share_noise():
             if better not in self.refined:
                 self.plain[better] = known[better].log_evidence

@@ -246,14 +246,16 @@ class Weighing:
             raise InputError(f"the model to start from has no evidence: {self.failures['']}")
 
     def look_at(self, sets: Sequence[Keys]) -> None:
-        """Evaluate sets further, in no more steps than samples show; the best of them to the end.
+        """Evaluate sets further, in no more steps than samples show.
 
-        Of the others `settle` takes up those that come near so.
+        `settle` takes up those that come near so.
         """
         done = (self.taken_up, self.looked_at)
         new = [k for k in sets if all(known.get(k) is not self.found[k] for known in done)]
         self._weigh_further(new, lambda keys: self._from_its_end(keys, SHOWN), self.looked_at)
-        # Another may lead once the first was taken up.
+
+    def take_up_best(self, sets: Sequence[Keys]) -> None:
+        """Evaluate the best of some sets to the end; another may be it then."""
         while left := [keys for keys in sets if keys in self.found]:
             best = max(left, key=lambda keys: self.found[keys].log_evidence)
             if self._is_taken_up(best):
