@@ -181,7 +181,7 @@ class _Search:
         """
         found = self.weighing.found
         for _ in range(_BACK):
-            keys, before = max(found, key=self.together.score), set(self.enlarged)
+            keys, before = self.together.ranked[0], set(self.enlarged)
             if keys not in self.plainer:
                 self.plainer.add(keys)
                 self.add("plainer forms", self._plainer(keys))
@@ -220,8 +220,7 @@ class _Search:
 
     def _close(self) -> list[Keys]:
         """The most probable set, and those that come near."""
-        score = self.together.score
-        ranked = sorted(self.weighing.found, key=lambda keys: -score(keys))
+        score, ranked = self.together.score, self.together.ranked
         return [k for k in ranked if score(k) > score(ranked[0]) - _CLOSE][:_MOST_CLOSE]
 
     def _exchanges(self, keys: Keys) -> dict[Keys, Job]:
@@ -278,7 +277,7 @@ class _Search:
     def leaves_much(self) -> bool:
         """Whether the most probable set leaves more than the noise of a good recording."""
         weighing = self.weighing
-        likely = weighing.found[max(weighing.found, key=weighing.together.score)]
+        likely = weighing.found[self.together.ranked[0]]
         share = (likely.weights.estimate.rms / weighing.evaluator.band.scale) ** 2
         return share > NOISE_SHARE
 
