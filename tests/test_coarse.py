@@ -9,6 +9,7 @@ from hidden import JOINT, LONG, long_record
 from identifiability.inference.starts import starting_values
 from identifiability.investigation.posterior import band
 from identifiability.investigation.posterior.band import band_of
+from identifiability.investigation.posterior.evidence import EVALUATIONS, Evaluator
 from identifiability.investigation.posterior.jobs import enlarged
 from identifiability.investigation.posterior.reference import evaluator_of
 from identifiability.investigation.posterior.signatures import strongest
@@ -32,6 +33,34 @@ def test_a_fit_that_was_begun_on_fewer_samples_is_no_worse(driven):
         assert abs(one.values[name] - (JOINT | LONG[driven])[name]) < 5 * sd
     # Fewer samples know less: the rest of the record has had its say.
     assert evaluator.coarse.evaluate(model, starts).sds["K"] > 1.3 * one.sds["K"]
+
+
+@pytest.mark.parametrize(
+    ("driven", "more", "given_up"),
+    [
+        ("angle", {"sensor_delay.delay": 0.01}, 1),
+        ("torque", {"gravity.moment": 5.0, "gravity.posture": 0.3}, 0),
+    ],
+)
+def test_noise_that_falls_far_behind_at_once_is_given_up(driven, more, given_up, monkeypatch):
+    """The fit ends where it would with both, here of a model that misses one of two effects."""
+    trial, truth = long_record(driven, (21, 11), more)
+    evaluator = evaluator_of(band_of([trial], []), JOINT)
+    model = KBI() + truth.effect(next(iter(more)).split(".")[0])
+    starts = starting_values(model, JOINT, wide=True)
+    settled, fits = Evaluator.settled, []
+
+    def counted(self, *args, **how):
+        fits.append(how["further"])
+        return settled(self, *args, **how)
+
+    monkeypatch.setattr(Evaluator, "settled", counted)
+    every = evaluator.roughly(model, starts, every_noise=True)
+    assert fits == 2 * [EVALUATIONS]
+    fits.clear()
+    ahead = evaluator.roughly(model, starts)
+    assert fits == 2 * [0] + (2 - given_up) * [EVALUATIONS]
+    assert ahead.log_evidence > every.log_evidence - 0.5
 
 
 @pytest.mark.parametrize("driven", ["torque", "angle"])

@@ -210,9 +210,9 @@ def test_a_model_is_fitted_in_the_noise_of_K_B_and_I_as_well(driven):
     problem, start = evaluator.band.problem(model), [nested_values(model, PAIR)]
     own, white = evaluator.starts
     assert own.contenders[0].order != white.contenders[0].order  # else nothing is tested
-    begun = evaluator._begun(problem, start, (), white, True)
+    begun = evaluator._begun(problem, start, white)
     assert [weights for _, weights in begun] == [white, white, own]
-    assert [weights for _, weights in evaluator._begun(problem, start, (), None, True)] == [
+    assert [weights for _, weights in evaluator._begun(problem, start, None)] == [
         own,
         white,
     ]

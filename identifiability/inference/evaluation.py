@@ -204,12 +204,13 @@ class Evaluation:
     def whitened(self, x: np.ndarray) -> np.ndarray:
         """Whitened residuals, then their derivatives, shape (n_rows, width)."""
         white = np.zeros((self.compared.n_rows, self.compared.columns))
-        if not self.native:
-            theta = self.template.copy()
-            theta[self.free] = x
-            self._products_of(np.concatenate(self.responses.at(theta)), theta, white)
-            return white
-        self._over(np.asarray(x, float)[None], white)
+        theta = self.template.copy()
+        theta[self.free] = x
+        if isinstance(self.responses, Traced):
+            response = np.concatenate(self.responses.at(theta))
+        else:
+            response = self.responses.all_at(theta)
+        self._products_of(response, theta, white)
         return white
 
     def log_likelihood(self, points: np.ndarray) -> np.ndarray:
@@ -247,7 +248,7 @@ class Evaluation:
         products : array, shape (n_points, 1 + n_free, 1 + n_free)
             Inner products of the whitened residuals and their derivatives there.
         """
-        return self._over(points, None, _ITERATIONS, moves, lower, upper, accuracy)
+        return self._over(points, _ITERATIONS, moves, lower, upper, accuracy)
 
     def _products_of(
         self, response: np.ndarray, theta: np.ndarray, white: np.ndarray | None = None
@@ -263,7 +264,6 @@ class Evaluation:
     def _over(
         self,
         points: np.ndarray,
-        white: np.ndarray | None = None,
         iterations: int = 0,
         moves: np.ndarray | None = None,
         lower: np.ndarray | None = None,
@@ -275,7 +275,6 @@ class Evaluation:
         found, k = np.array(points, float, order="C"), len(self.free)
         columns = self.compared.columns
         grams = np.zeros((len(found), columns, columns))
-        kept = np.zeros((0, columns)) if white is None else white
         may = np.zeros(k, np.bool_) if moves is None else np.asarray(moves, np.bool_)
         low = np.full(k, -np.inf) if lower is None else np.array(lower, float)
         high = np.full(k, np.inf) if upper is None else np.array(upper, float)
@@ -296,7 +295,6 @@ class Evaluation:
                 accuracy,
                 found[a:b],
                 grams[a:b],
-                kept,
             )
 
         work = len(found) * self.compared.measured.size * (_DESCENDED if iterations else 1)
@@ -328,18 +326,14 @@ def _evaluate(
     accuracy: float,
     points: np.ndarray,
     grams: np.ndarray,
-    kept: np.ndarray,
 ) -> None:
-    """Inner products at points, which may move to the optimum first.
-
-    The whitened residuals of a single point are kept where there is room for them.
-    """
+    """Inner products at points, which may move to the optimum first."""
     k = free.size
     theta = template.copy()
     response = np.empty((what.measured.size, width))
     # Squares alone need no room for what they are of.
     alone = what.columns == 1 and not what.n_segments and len(what.stretches) == 1
-    white = kept if len(kept) or alone else np.zeros((what.n_rows, what.columns))
+    white = np.zeros((0 if alone else what.n_rows, what.columns))
     trial, there = np.empty(k), np.empty((what.columns, what.columns))
     system, step = np.empty((k, k)), np.empty((k, 1))
     for p in range(len(points)):

@@ -175,7 +175,7 @@ class Band:
 
     def residuals(self, problem: Problem, x: np.ndarray) -> list[np.ndarray]:
         """What a model of these trials leaves of all that is compared, by stretch, shape (n, 1)."""
-        rows = problem.by_observation(problem.residuals(x)[:, None])
+        rows = problem.by_observation(problem.values(x)[:, None])
         return self.compared(rows[: len(self.observations)], problem)
 
     def responses(self, problem: Problem, x: np.ndarray) -> list[np.ndarray]:

@@ -54,15 +54,16 @@ class Beginnings:
         weighed = Weighed(self.problem, self.band, weights)
         if len(self.points) == 1:
             return self.points
-        stepped, expected = [], []
-        for x, (trials, probes) in zip(self.points, self.raw, strict=True):
-            residuals, jacobian = weighed.linear(*weighed.of(trials, probes))
-            step, left = self._step(x, residuals, jacobian)
+        squares, stepped, expected = [], [], []
+        for x, raw in zip(self.points, self.raw, strict=True):
+            white = weighed.of(*raw)
+            step, left = self._step(x, *weighed.linear(*white))
+            squares.append(weighed.squares_of(*white))
             stepped.append(step)
             expected.append(left)
         costs, ends = [], []
         for i in np.argsort(expected, kind="stable")[: max(_TRIED, n)]:
-            x, before = self.points[i], weighed.squares(self.points[i])
+            x, before = self.points[i], squares[i]
             for share in _SHARES:
                 end = x + share * stepped[i]
                 after = weighed.squares(end)

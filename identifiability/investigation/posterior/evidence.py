@@ -57,6 +57,9 @@ _SOLVER = 1.0  # squared error of the integration, all samples together, over th
 _NEAR_END = 0.1  # nats, twice, that a fit's next step would bring where it ends
 _MISSED = 0.5  # nats by which a model may be less likely than one that it contains
 _CARRIED = 2  # starts that a fit is carried on from
+# Nats by which one noise leads where fits to a part of a long record begin, from which another is
+# given up.
+_AHEAD = 100.0
 # Standard deviations of the sum of squares that what is taken off for noise of an imposed angle,
 # beyond what is at the reference, has to exceed: only what is beyond counts.
 _CHANCE = 2.0
@@ -199,6 +202,7 @@ class Evaluator:
         steps: int = MOST_SUBSTEPS,
         nested: Evaluated | None = None,
         begun: Evaluated | None = None,
+        every_noise: bool = False,
     ) -> Evaluated:
         """Fit a model and its noise in turn, and take its evidence.
 
@@ -223,7 +227,9 @@ class Evaluator:
             A model that this one is more than. Where its likelihood is higher, an optimum was
             missed, and the fit goes on from there.
         begun : Evaluated, optional
-            Where `roughly` ended, to go on from instead of the starts.
+            Where `roughly` ended, or another fit, to go on from in its noise instead of the starts.
+        every_noise : bool
+            See `roughly`.
 
         Raises
         ------
@@ -238,7 +244,17 @@ class Evaluator:
         def settled(start: tuple[np.ndarray, Weights]) -> Evaluated:
             return self.settled(problem, *start, refined, least, also)
 
-        best = best_of(settled, list(self._begun(problem, starts, refined, noise, resolved, begun)))
+        # A single start that is to be resolved is where a fit of all samples ended.
+        if begun is None and not (resolved and len(starts) == 1):
+            begun = self.roughly(
+                model,
+                starts,
+                refined=refined,
+                scheme=problem.integration,
+                noise=noise,
+                every_noise=every_noise,
+            )
+        best = best_of(settled, list(self._begun(problem, starts, noise, begun)))
         if nested is not None and best.log_likelihood < nested.log_likelihood - _MISSED:
             point = problem.free_vector(nested_values(model, nested.values))
             start = inside(problem, point[None])
@@ -278,29 +294,23 @@ class Evaluator:
         self,
         problem: Problem,
         starts: Sequence[Mapping[str, float]],
-        refined: Sequence[str],
         noise: Weights | None,
-        resolved: bool,
         begun: Evaluated | None = None,
     ) -> Iterator[tuple[np.ndarray, Weights]]:
         """Points and noise to fit a model from: see `evaluate`."""
-        own, white = self.starts
-        # A single start that is to be resolved is where a fit of all samples ended.
-        if begun is None and not (resolved and len(starts) == 1):
-            scheme = problem.integration
-            begun = self.roughly(problem.model, starts, refined=refined, scheme=scheme, noise=noise)
-        if begun is None:
-            beginnings = self._beginnings(problem, starts)
-            noises = [noise or own, white]
-            # Not to hang on the noise of the model that this one was made from.
-            if noises[0].contenders[0].order != own.contenders[0].order:
-                noises.append(own)
-            for weights in noises:
-                yield beginnings.best(weights, _carried(problem)), weights
+        if begun is not None:
+            # Not the noise of what is left there: more, and of another colour, than at the optimum.
+            weights = self.reference.adopted(begun.weights)
+            yield inside(problem, problem.free_vector(begun.values)[None]), weights
             return
-        points = inside(problem, problem.free_vector(begun.values)[None])
-        # Not the noise of what is left there: more, and of another colour, than at the optimum.
-        yield points, self.reference.adopted(begun.weights)
+        own, white = self.starts
+        beginnings = self._beginnings(problem, starts)
+        noises = [noise or own, white]
+        # Not to hang on the noise of the model that this one was made from.
+        if noises[0].contenders[0].order != own.contenders[0].order:
+            noises.append(own)
+        for weights in noises:
+            yield beginnings.best(weights, _carried(problem)), weights
 
     def _beginnings(self, problem: Problem, starts: Sequence[Mapping[str, float]]) -> Beginnings:
         points = np.array([problem.free_vector(values) for values in starts])
@@ -314,10 +324,14 @@ class Evaluator:
         refined: Sequence[str] = (),
         scheme: Scheme | None = None,
         noise: Weights | None = None,
+        every_noise: bool = False,
     ) -> Evaluated | None:
         """About where a fit to a part of a long record ends; None where there is none.
 
-        Arguments as for `evaluate`.
+        In two noises, of which the one that falls far behind where the best start leads is given
+        up, unless `every_noise` is gone on with: what K, B and I leave may be so likely a noise
+        that nothing is beside it, until another fit is at its end. Other arguments as for
+        `evaluate`.
         """
         fewer = self.coarse
         if fewer is None:
@@ -327,13 +341,26 @@ class Evaluator:
         )
         beginnings = fewer._beginnings(problem, starts)
 
-        def settled(weights: Weights) -> Evaluated:
-            points = beginnings.best(weights, _carried(problem))
-            return fewer.settled(
-                problem, points, weights, refined, rounds=1, most=1, further=EVALUATIONS
-            )
+        def begun(weights: Weights) -> tuple[np.ndarray, Weights]:
+            return beginnings.best(weights, _carried(problem)), weights
 
-        return best_of(settled, (fewer.reference.adopted(noise or self.starts[0]), fewer.white))
+        def settled(leg: tuple[np.ndarray, Weights], further: int = EVALUATIONS) -> Evaluated:
+            return fewer.settled(problem, *leg, refined, rounds=1, most=1, further=further)
+
+        ends: list[Evaluated] = []
+        with ThreadPoolExecutor(THREADS) as pool:
+            noises = fewer.reference.adopted(noise or self.starts[0]), fewer.white
+            legs = list(pool.map(begun, noises))
+            if not every_noise:
+                ends += pool.map(lambda leg: settled((leg[0][:1], leg[1]), 0), legs)
+                least = max(end.log_evidence for end in ends) - _AHEAD
+                legs = [
+                    (np.array([end.x, *points[1:]]), weights)
+                    for end, (points, weights) in zip(ends, legs, strict=True)
+                    if end.log_evidence > least
+                ]
+            ends += pool.map(settled, legs)
+        return max(ends, key=lambda end: end.log_evidence)
 
     def as_it_is(self, found: Evaluated) -> Evaluated:
         """A model and its noise as another part of the same trials found them, by this one."""

@@ -53,10 +53,12 @@ class Evaluations:
         steps: int = MOST_SUBSTEPS,
         nested: Evaluated | None = None,
         begun: Evaluated | None = None,
+        every_noise: bool = False,
     ) -> Evaluated:
         """Evaluate a model, or take it up as it was found: see `Evaluator.evaluate`."""
         within = None if nested is None else (nested.values, nested.log_likelihood)
-        path = self._path(model, noise, starts, refined, scheme, least, resolved, steps, within)
+        how = starts, refined, scheme, least, resolved, steps, within, every_noise, begun is None
+        path = self._path(model, noise, *how)
         found = _taken_up(path, self.evaluator, model, refined)
         if found is None:
             found = self.evaluator.evaluate(
@@ -70,6 +72,7 @@ class Evaluations:
                 steps=steps,
                 nested=nested,
                 begun=begun,
+                every_noise=every_noise,
             )
             _keep(found, path)
         return found
@@ -93,15 +96,18 @@ class Evaluations:
         *,
         refined: Sequence[str] = (),
         noise: Weights | None = None,
+        every_noise: bool = False,
     ) -> Evaluated | None:
         """Begin to fit a model, or take that up as it was found: see `Evaluator.roughly`."""
         fewer = self.evaluator.coarse
         if fewer is None:
             return None
-        path = self._path(model, noise, starts, refined, "roughly")
+        path = self._path(model, noise, starts, refined, every_noise, "roughly")
         found = _taken_up(path, fewer, model, refined)
         if found is None:
-            found = self.evaluator.roughly(model, starts, refined=refined, noise=noise)
+            found = self.evaluator.roughly(
+                model, starts, refined=refined, noise=noise, every_noise=every_noise
+            )
             _keep(found, path)
         return found
 

@@ -127,15 +127,28 @@ def raw_residuals(
 
     That is 0 in stretches that are not probed.
     """
-    n, rows = len(problem.observations), len(band.observations)
     residuals = problem.by_observation(problem.residuals(x)[:, None])
-    both = np.concatenate([residuals, problem.by_observation(problem.jacobian(x))], axis=2)
-    both = np.clip(np.nan_to_num(both, nan=_HUGE), -_HUGE, _HUGE)
-    trials = band.compared(both[:rows], problem)
+    derivatives = problem.by_observation(problem.jacobian(x))
+    return _of_trials_and_probes(np.concatenate([residuals, derivatives], axis=2), problem, band)
+
+
+def _raw_values(
+    problem: Problem, band: Band, x: np.ndarray
+) -> tuple[list[np.ndarray], list[np.ndarray] | None]:
+    """`raw_residuals` without derivatives, which take as long again."""
+    return _of_trials_and_probes(problem.by_observation(problem.values(x)[:, None]), problem, band)
+
+
+def _of_trials_and_probes(
+    every: np.ndarray, problem: Problem, band: Band
+) -> tuple[list[np.ndarray], list[np.ndarray] | None]:
+    n, rows = len(problem.observations), len(band.observations)
+    every = np.clip(np.nan_to_num(every, nan=_HUGE), -_HUGE, _HUGE)
+    trials = band.compared(every[:rows], problem)
     if n == rows:
         return trials, None
-    changed = np.zeros_like(both[:rows])
-    changed[band.probed_ones] = both[rows:n] - both[band.probed_ones]
+    changed = np.zeros_like(every[:rows])
+    changed[band.probed_ones] = every[rows:n] - every[band.probed_ones]
     return trials, band.compared(changed, problem, differ=True)
 
 
@@ -194,7 +207,7 @@ class Weighed:
 
     def squares(self, x: np.ndarray) -> float:
         """Sum of squared whitened residuals, as it is expected without noise of the angle."""
-        return self.squares_of(*self.whitened(x))
+        return self.squares_of(*self.of(*_raw_values(self.problem, self.band, x)))
 
     def squares_of(self, white: np.ndarray, probe: np.ndarray | None) -> float:
         """The same, of what `whitened` gave."""

@@ -9,6 +9,7 @@ noise of long memory may have taken the place of what is missing.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from identifiability.investigation.posterior.evidence import Evaluated, Evaluato
 from identifiability.investigation.posterior.noises import Weights
 from identifiability.joint.effects import Effect
 from identifiability.joint.model import Model
-from identifiability.joint.scheme import Scheme
+from identifiability.joint.programs import THREADS
 
 _NEGLIGIBLE = 1e-8  # of directions that repeat each other
 
@@ -53,20 +54,23 @@ def strongest(
     if evaluator.coarse is not None:
         # A part of a long record shows as well whose signature is the strongest.
         found, evaluator = evaluator.coarse.as_it_is(found), evaluator.coarse
-    plain: dict[Scheme, np.ndarray] = {}
-    changes = {}
-    for key, effect in effects.items():
-        model = found.model + effect()
-        shapes = starting_values(model, found.values)
-        if key in alone:
-            shapes.append({**alone[key], **found.values})
-        problem = _problem(evaluator, model, found)
-        # In the same steps: what their length changes is no signature.
-        if problem.integration not in plain:
-            same = _problem(evaluator, found.model, found).with_scheme(problem.integration)
-            plain[problem.integration] = _residual(evaluator.band, same, found.values)
-        before = plain[problem.integration]
-        changes[key] = [_residual(evaluator.band, problem, s) - before for s in shapes]
+    models = {key: found.model + effect() for key, effect in effects.items()}
+    problems = {key: _problem(evaluator, model, found) for key, model in models.items()}
+    shapes = {key: starting_values(model, found.values) for key, model in models.items()}
+    for key in alone.keys() & shapes:
+        shapes[key].append({**alone[key], **found.values})
+    # In the same steps: what their length changes is no signature.
+    own = _problem(evaluator, found.model, found)
+    plain = [own.with_scheme(s) for s in {p.integration: None for p in problems.values()}]
+    tasks = [(problem, found.values) for problem in plain]
+    tasks += [(problems[key], values) for key, mine in shapes.items() for values in mine]
+    with ThreadPoolExecutor(THREADS) as pool:
+        residuals = pool.map(lambda task: _residual(evaluator.band, *task), tasks)
+    before = {problem.integration: next(residuals) for problem in plain}
+    changes = {
+        key: [next(residuals) - before[problems[key].integration] for _ in mine]
+        for key, mine in shapes.items()
+    }
     kept: set[str] = set()
     noises = [(evaluator.white, most)]
     if not plainly:
@@ -80,8 +84,7 @@ def strongest(
 
 def _problem(evaluator: Evaluator, model: Model, found: Evaluated) -> Problem:
     """A model in steps at least as short as another's, with as much of it in richer form."""
-    probes = evaluator.reference.probes_of(model)
-    problem = evaluator.band.problem(model, refined=found.refined, probes=probes)
+    problem = evaluator.band.problem(model, refined=found.refined)
     finer = found.scheme.is_finer_than(problem.integration)
     return problem.with_scheme(found.scheme) if finer else problem
 

@@ -166,6 +166,7 @@ class Weighing:
                 resolved=False,
                 nested=job.nested,
                 begun=job.begun,
+                every_noise=self._is_first(job),
             )
             if not job.looked_at:
                 return found
@@ -186,7 +187,11 @@ class Weighing:
 
         def begun(job: Job) -> Job:
             found = self._evaluations.roughly(
-                job.model, job.starts, refined=job.refined, noise=job.begins_in
+                job.model,
+                job.starts,
+                refined=job.refined,
+                noise=job.begins_in,
+                every_noise=self._is_first(job),
             )
             return replace(job, begun=found)
 
@@ -209,6 +214,10 @@ class Weighing:
             else:
                 kept.append(job)
         return kept
+
+    def _is_first(self, job: Job) -> bool:
+        """Whether a model has no more than one effect, beside what the search starts from."""
+        return len(self._keys(job.model)) <= 1
 
     def _keys(self, model: Model) -> Keys:
         return tuple(sorted(k for k in model.effect_keys if k not in self.base))
@@ -292,6 +301,7 @@ class Weighing:
                 scheme=known.scheme,
                 noise=known.weights,
                 steps=steps,
+                begun=known,
             ),
             forms,
         )

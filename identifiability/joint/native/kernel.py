@@ -118,8 +118,9 @@ def _made(model: Model, free: tuple[int, ...]) -> Kernel:
     moved = list(range(k, k + 2 + n + n_past))
     slopes = graph.derivatives(outputs, [*free, *moved])
     by_motion = [row[len(free) :] for row in slopes]
+    # Where nothing has derivatives, nor does what it depends on.
     moving = [
-        Row(value, row[: len(free)], by[: 2 + n], by[2 + n :])
+        Row(value, row[: len(free)], by[: 2 + n], by[2 + n :]) if free else Row(value, ())
         for value, row, by in zip(outputs, slopes, by_motion, strict=True)
     ]
     turning = [Row(one, ()) for row in by_motion[2:] for one in row[2 : 2 + n]]

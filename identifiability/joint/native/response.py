@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
@@ -11,8 +14,11 @@ from identifiability.joint.model import Model
 from identifiability.joint.native.instruments import kind_of
 from identifiability.joint.native.kernel import Kernel, kernel_of
 from identifiability.joint.native.responding import ARRAYS, NUMBERS, respond
+from identifiability.joint.programs import THREADS
 from identifiability.joint.scheme import Scheme
 from identifiability.measurement.perturbations import Drive, propagator
+
+_WORTH_THREADS = 20_000  # steps from which on threads are worth their start; some ten milliseconds
 
 
 class Responses:
@@ -38,6 +44,7 @@ class Responses:
         self, kernel: Kernel, drives: Sequence[Drive], scheme: Scheme, sensors: np.ndarray
     ) -> None:
         model, free = kernel.model, kernel.free
+        self._made_of = kernel, drives, scheme, sensors
         readings = readings_of(model, max(drive.interval for drive in drives))
         substeps = scheme.between(readings)
         every = [_imposed(drive, readings, max(substeps, 1)) for drive in drives]
@@ -52,7 +59,6 @@ class Responses:
         self.starts, self.width = np.cumsum(counts), kernel.width
         self.columns = 1 + len(free)
         self.exact = scheme.exact
-        self._kernel = kernel  # whose code is called as long as this lives
         numbers = {
             "moving": kernel.moving.address,
             "turning": kernel.turning.address,
@@ -96,10 +102,37 @@ class Responses:
         list of array, shape (n, 1 + n_free)
             By drive, at its samples: the response, then its derivatives.
         """
-        theta = np.ascontiguousarray(theta, float)
-        out = np.zeros((self.starts[-1], self.width))
+        return np.split(self.all_at(theta)[:, : self.columns], self.starts[1:-1])
+
+    def all_at(self, theta: np.ndarray) -> np.ndarray:
+        """Responses at a parameter vector, one below the other, shape (n, width)."""
+        theta, out = np.ascontiguousarray(theta, float), np.zeros((self.starts[-1], self.width))
+        ends = np.cumsum([part.starts[-1] for part in self._parts])[:-1]
+        if len(ends):
+            with ThreadPoolExecutor(THREADS) as pool:
+                list(
+                    pool.map(
+                        lambda part, to: part._write(theta, to), self._parts, np.split(out, ends)
+                    )
+                )
+        else:
+            self._write(theta, out)
+        return out
+
+    def _write(self, theta: np.ndarray, out: np.ndarray) -> None:
         respond.ctypes(self.plan.ctypes.data, theta.ctypes.data, out.ctypes.data, None)
-        return np.split(out[:, : self.columns], self.starts[1:-1])
+
+    @cached_property
+    def _parts(self) -> list[Responses]:
+        """Responses to some of the drives for each thread; none where that is not worth it."""
+        kernel, drives, scheme, sensors = self._made_of
+        alike = len({drive.interval for drive in drives}) == 1
+        if self.starts[-1] * scheme.substeps < _WORTH_THREADS or not alike:
+            return []
+        middles = 0.5 * (self.starts[1:] + self.starts[:-1])
+        ends = np.searchsorted(middles, np.linspace(0, self.starts[-1], THREADS + 1))
+        shares = [drives[a:b] for a, b in pairwise(ends) if a < b]
+        return [Responses(kernel, share, scheme, sensors) for share in shares]
 
 
 def lanes_of(model: Model, free: tuple[int, ...]) -> np.ndarray:
