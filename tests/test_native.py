@@ -1,5 +1,7 @@
 """Machine code of models: as JAX has it, for every operation, scheme, drive and parameter."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -11,7 +13,7 @@ from identifiability.inference.problem import Prior, Problem, observe
 from identifiability.joint.effects import EFFECTS
 from identifiability.joint.integrator import integrate
 from identifiability.joint.model import KBI
-from identifiability.joint.native import kernel
+from identifiability.joint.native import kernel, response
 from identifiability.joint.native.expressions import Graph
 from identifiability.joint.native.kernel import kernel_of
 from identifiability.joint.native.machine import LANES, Code, Row
@@ -147,6 +149,23 @@ def test_derivatives_are_by_the_free_parameters_alone():
     every = responses_of(model, tuple(range(values.size)), drives, Scheme(1)).at(values)[0]
     some = responses_of(model, (1, 4), drives, Scheme(1)).at(values)[0]
     agree(some, every[:, [0, 2, 5]], 1e-13)
+
+
+@pytest.mark.parametrize("driven", DRIVES)
+def test_long_responses_are_the_same_by_several_threads(driven, monkeypatch):
+    model = KBI() + EFFECTS["stretch_reflex"]()
+    values, whole = values_of(model), DRIVES[driven]
+    drives = [
+        replace(whole, states=whole.states[:n], impulses=whole.impulses[:n])
+        for n in (201, 90, 150, 40)
+    ]
+    alone = [responses_of(model, (0, 7), [drive], Scheme(2)).at(values)[0] for drive in drives]
+    monkeypatch.setattr(response, "_WORTH_THREADS", 2 * sum(len(one) for one in alone))
+    shared = responses_of(model, (0, 7), drives, Scheme(2))
+    assert [len(part.starts) - 1 for part in shared._parts] == [1, 3]
+    for one, other in zip(shared.at(values), alone, strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert not responses_of(model, (0, 7), drives, Scheme(1))._parts
 
 
 class Unusual(ParallelSpring):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+import struct
 import sys
 from collections.abc import Sequence
 from functools import cache
@@ -15,10 +16,14 @@ from llvmlite import ir
 
 from identifiability.joint.native.expressions import COMPARISONS, Graph
 
-_NUMBER, _TRUTH = ir.DoubleType(), ir.IntType(1)
-_SIGNS = {"lt": "<", "le": "<=", "gt": ">", "ge": ">=", "eq": "==", "ne": "!="}
+_NUMBER = ir.DoubleType()
+# What is not a number is unlike all numbers, and neither more nor less.
+_SIGNS = {"lt": "olt", "le": "ole", "gt": "ogt", "ge": "oge", "eq": "oeq", "ne": "une"}
 _BINARY = {"add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv"}
-_INTRINSIC = {"abs": "fabs", "sqrt": "sqrt", "floor": "floor", "ceil": "ceil"}
+_INTRINSIC = {
+    name: f"llvm.{'fabs' if name == 'abs' else name}.f64"
+    for name in ("abs", "sqrt", "floor", "ceil")
+}
 # Of the C library that Python itself is linked to.
 _LIBRARY = ("exp", "expm1", "log", "log1p", "sin", "cos", "tan", "sinh", "cosh", "tanh", "atan")
 
@@ -29,6 +34,9 @@ LANES = 4
 """Numbers that one instruction takes together."""
 
 _TOGETHER = ir.VectorType(_NUMBER, LANES)
+_MANY, _AT, _AT_MANY = (
+    str(kind) for kind in (_TOGETHER, _NUMBER.as_pointer(), _TOGETHER.as_pointer())
+)
 
 _compiling = Lock()
 
@@ -115,15 +123,23 @@ def together(build: ir.IRBuilder, pointer: ir.Value) -> ir.Value:
     return build.bitcast(pointer, _TOGETHER.as_pointer())
 
 
+class _Value(NamedTuple):
+    """A number or a truth: what it is called, or what it is."""
+
+    kind: str
+    name: str
+
+    def __str__(self) -> str:
+        return f"{self.kind} {self.name}"
+
+
 class _Writer:
+    """Writes the assembly language of LLVM, which its own builder takes five times as long for."""
+
     def __init__(self, graph: Graph, rows: Sequence[Row], width: int) -> None:
-        self.module = ir.Module(name="expressions")
-        self.functions: dict[str, ir.Function] = {}
-        pointer = _NUMBER.as_pointer()
-        function = ir.Function(self.module, ir.FunctionType(ir.VoidType(), [pointer] * 4), "f")
-        self.builder = ir.IRBuilder(function.append_basic_block())
-        self.given, state, past, out = function.args
-        made: dict[int, ir.Value] = {}
+        self.lines: list[str] = []
+        self.functions: dict[str, int] = {}
+        made: dict[int, _Value] = {}
         zero = graph.constant(0.0)
         for a in graph.reached(one for row in rows for one in (row[0], *row[1], *row[2], *row[3])):
             operation, *args = graph.nodes[a]
@@ -137,99 +153,130 @@ class _Writer:
             own += [zero] * (width - len(own))
             moved = [
                 (pointer, j, made[one])
-                for pointer, slopes in ((state, row.by_state), (past, row.by_past))
+                for pointer, slopes in (("%state", row.by_state), ("%past", row.by_past))
                 for j, one in enumerate(slopes)
                 if one != zero
             ]
             for first in range(0, width, LANES):
                 lanes = [made.get(one) for one in own[first : first + LANES]]
-                self.store(lanes, moved, out, i * width + first, first, width)
-        self.builder.ret_void()
+                self.store(lanes, moved, i * width + first, first, width)
+
+    @property
+    def text(self) -> str:
+        """The whole module."""
+        declared = [
+            f"declare double @{name}({', '.join(n * ['double'])})"
+            for name, n in self.functions.items()
+        ]
+        given = ", ".join(f"{_AT} %{name}" for name in ("given", "state", "past", "out"))
+        return "\n".join(
+            [*declared, f"define void @f({given}) {{", *self.lines, "ret void", "}", ""]
+        )
+
+    def new(self, kind: str, text: str) -> _Value:
+        """What an instruction makes."""
+        name = f"%v{len(self.lines)}"
+        self.lines.append(f"{name} = {text}")
+        return _Value(kind, name)
 
     def store(
         self,
-        lanes: Sequence[ir.Value | None],
-        moved: Sequence[tuple[ir.Value, int, ir.Value]],
-        out: ir.Value,
+        lanes: Sequence[_Value | None],
+        moved: Sequence[tuple[str, int, _Value]],
         at: int,
         first: int,
         width: int,
     ) -> None:
         """Write some numbers of a row together, with what they have of the rows that move."""
-        build, total = self.builder, ir.Constant(_TOGETHER, [0.0] * LANES)
+        total = _Value(_MANY, "zeroinitializer")
         for pointer, j, slope in moved:
-            there = build.load(together(build, self.at(pointer, j * width + first)), align=8)
-            term = build.fmul(spread(build, slope), there, flags=["contract"])
-            total = build.fadd(total, term, flags=["contract"])
-        own = ir.Constant(_TOGETHER, [0.0] * LANES)
+            place = self.together(pointer, j * width + first)
+            there = self.new(_MANY, f"load {_MANY}, {place}, align 8")
+            one = self.new(_MANY, f"insertelement {_MANY} undef, {slope}, i32 0")
+            every = f"{_MANY} undef, <{LANES} x i32> zeroinitializer"
+            spread = self.new(_MANY, f"shufflevector {one}, {every}")
+            term = self.new(_MANY, f"fmul contract {spread}, {there.name}")
+            total = self.new(_MANY, f"fadd contract {total}, {term.name}")
+        own = _Value(_MANY, "zeroinitializer")
         for k, lane in enumerate(lanes):
             if lane is not None:
-                own = build.insert_element(own, lane, ir.Constant(ir.IntType(32), k))
+                own = self.new(_MANY, f"insertelement {own}, {lane}, i32 {k}")
         if moved and not first:
             # The first lane is the value, which is a function of the inputs.
-            none = ir.Constant(_TOGETHER, [0.0] * LANES)
-            places = [LANES, *range(1, LANES)]
-            total = build.shuffle_vector(
-                total, none, ir.Constant(ir.VectorType(ir.IntType(32), LANES), places)
-            )
-        total = build.fadd(total, own, flags=["contract"])
-        build.store(total, together(build, self.at(out, at)), align=8)
+            places = ", ".join(f"i32 {k}" for k in (LANES, *range(1, LANES)))
+            kept = f"{_MANY} zeroinitializer, <{LANES} x i32> <{places}>"
+            total = self.new(_MANY, f"shufflevector {total}, {kept}")
+        total = self.new(_MANY, f"fadd contract {total}, {own.name}")
+        self.lines.append(f"store {total}, {self.together('%out', at)}, align 8")
 
-    @property
-    def text(self) -> str:
-        return str(self.module)
+    def together(self, pointer: str, i: int) -> _Value:
+        """Where a number is, as the place of as many as there are lanes."""
+        return self.new(_AT_MANY, f"bitcast {self.at(pointer, i)} to {_AT_MANY}")
 
-    def at(self, pointer: ir.Value, i: int) -> ir.Value:
-        place = ir.Constant(ir.IntType(64), i)
-        return self.builder.gep(pointer, [place])
+    def at(self, pointer: str, i: int) -> _Value:
+        """Where a number of an array is."""
+        return self.new(_AT, f"getelementptr double, {_AT} {pointer}, i64 {i}")
 
-    def leaf(self, kind: str, value: float | bool) -> ir.Value:
+    def leaf(self, kind: str, value: float | bool) -> _Value:
+        """An input, or a constant."""
         if kind == "input":
-            return self.builder.load(self.at(self.given, int(value)))
-        return ir.Constant(_TRUTH if isinstance(value, bool) else _NUMBER, value)
+            return self.new("double", f"load double, {self.at('%given', int(value))}")
+        if isinstance(value, bool):
+            return _Value("i1", str(value).lower())
+        return _literal(value)
 
-    def operation(self, name: str, args: list[ir.Value]) -> ir.Value:
-        build, zero = self.builder, ir.Constant(_NUMBER, 0.0)
+    def operation(self, name: str, args: list[_Value]) -> _Value:
+        """What an operation makes of what was made."""
+        names = ", ".join(one.name for one in args)
         if name in _BINARY:
-            return getattr(build, _BINARY[name])(*args)
+            return self.new("double", f"{_BINARY[name]} double {names}")
         if name in COMPARISONS:
-            compare = build.fcmp_unordered if name == "ne" else build.fcmp_ordered
-            return compare(_SIGNS[name], *args)
+            return self.compare(_SIGNS[name], *args)
         if name in ("max", "min"):
             # What is not a number stays so.
-            first = build.fcmp_ordered(">" if name == "max" else "<", *args)
-            unlike = build.fcmp_unordered("uno", args[0], zero)
-            return build.select(build.or_(first, unlike), *args)
+            first = self.compare("ogt" if name == "max" else "olt", *args)
+            unlike = self.compare("uno", args[0], _literal(0.0))
+            either = self.new("i1", f"or {first}, {unlike.name}")
+            return self.select(either, *args)
         match name:
             case "neg":
-                return build.fneg(args[0])
+                return self.new("double", f"fneg {args[0]}")
             case "stop":
                 return args[0]
             case "select":
-                return build.select(args[0], args[2], args[1])
+                return self.select(args[0], args[2], args[1])
             case "not":
-                return build.not_(args[0])
-            case "and":
-                return build.and_(*args)
-            case "or":
-                return build.or_(*args)
+                return self.new("i1", f"xor {args[0]}, true")
+            case "and" | "or":
+                return self.new("i1", f"{name} i1 {names}")
             case "sign":
-                one = ir.Constant(_NUMBER, 1.0)
-                above = build.select(build.fcmp_ordered(">", args[0], zero), one, args[0])
-                return build.select(
-                    build.fcmp_ordered("<", args[0], zero), ir.Constant(_NUMBER, -1.0), above
-                )
+                above = self.compare("ogt", args[0], _literal(0.0))
+                below = self.compare("olt", args[0], _literal(0.0))
+                found = self.select(above, _literal(1.0), args[0])
+                return self.select(below, _literal(-1.0), found)
             case "is_finite":
-                size = self.call("llvm.fabs.f64", args)
-                return build.fcmp_ordered("<", size, ir.Constant(_NUMBER, float("inf")))
+                size = self.call(_INTRINSIC["abs"], args)
+                return self.compare("olt", size, _literal(float("inf")))
         if name in _INTRINSIC:
-            return self.call(f"llvm.{_INTRINSIC[name]}.f64", args)
+            return self.call(_INTRINSIC[name], args)
         if name == "pow" or name in _LIBRARY:
             return self.call(name, args)
         raise NotImplementedError(name)
 
-    def call(self, name: str, args: list[ir.Value]) -> ir.Value:
-        if name not in self.functions:
-            kind = ir.FunctionType(_NUMBER, [_NUMBER] * len(args))
-            self.functions[name] = ir.Function(self.module, kind, name)
-        return self.builder.call(self.functions[name], args)
+    def compare(self, sign: str, one: _Value, other: _Value) -> _Value:
+        """Whether two numbers compare so."""
+        return self.new("i1", f"fcmp {sign} {one}, {other.name}")
+
+    def select(self, truth: _Value, one: _Value, other: _Value) -> _Value:
+        """One value where something is true, else another."""
+        return self.new(one.kind, f"select {truth}, {one}, {other}")
+
+    def call(self, name: str, args: list[_Value]) -> _Value:
+        """What a function returns."""
+        self.functions[name] = len(args)
+        return self.new("double", f"call double @{name}({', '.join(map(str, args))})")
+
+
+def _literal(value: float) -> _Value:
+    """A number, bit by bit."""
+    return _Value("double", f"0x{struct.unpack('>Q', struct.pack('>d', value))[0]:016x}")
