@@ -207,7 +207,9 @@ class Weighed:
 
     def squares(self, x: np.ndarray) -> float:
         """Sum of squared whitened residuals, as it is expected without noise of the angle."""
-        return self.squares_of(*self.of(*_raw_values(self.problem, self.band, x)))
+        # Elsewhere code without derivatives takes longer to compile than they do.
+        raw = _raw_values if self.problem.takes_long else raw_residuals
+        return self.squares_of(*self.of(*raw(self.problem, self.band, x)))
 
     def squares_of(self, white: np.ndarray, probe: np.ndarray | None) -> float:
         """The same, of what `whitened` gave."""
