@@ -134,7 +134,7 @@ class _Value(NamedTuple):
 
 
 class _Writer:
-    """Writes the assembly language of LLVM, which its own builder takes five times as long for."""
+    """Writes the assembly language of LLVM itself: a builder of it takes several times as long."""
 
     def __init__(self, graph: Graph, rows: Sequence[Row], width: int) -> None:
         self.lines: list[str] = []

@@ -44,6 +44,7 @@ class Responses:
         self, kernel: Kernel, drives: Sequence[Drive], scheme: Scheme, sensors: np.ndarray
     ) -> None:
         model, free = kernel.model, kernel.free
+        # The kernel's code is called as long as this lives.
         self._made_of = kernel, drives, scheme, sensors
         readings = readings_of(model, max(drive.interval for drive in drives))
         substeps = scheme.between(readings)
@@ -107,16 +108,14 @@ class Responses:
     def all_at(self, theta: np.ndarray) -> np.ndarray:
         """Responses at a parameter vector, one below the other, shape (n, width)."""
         theta, out = np.ascontiguousarray(theta, float), np.zeros((self.starts[-1], self.width))
-        ends = np.cumsum([part.starts[-1] for part in self._parts])[:-1]
-        if len(ends):
-            with ThreadPoolExecutor(THREADS) as pool:
-                list(
-                    pool.map(
-                        lambda part, to: part._write(theta, to), self._parts, np.split(out, ends)
-                    )
-                )
-        else:
+        if not self._parts:
             self._write(theta, out)
+            return out
+        ends = np.cumsum([part.starts[-1] for part in self._parts])[:-1]
+        with ThreadPoolExecutor(THREADS) as pool:
+            shares = zip(self._parts, np.split(out, ends), strict=True)
+            for done in [pool.submit(part._write, theta, share) for part, share in shares]:
+                done.result()
         return out
 
     def _write(self, theta: np.ndarray, out: np.ndarray) -> None:
@@ -132,6 +131,8 @@ class Responses:
         middles = 0.5 * (self.starts[1:] + self.starts[:-1])
         ends = np.searchsorted(middles, np.linspace(0, self.starts[-1], THREADS + 1))
         shares = [drives[a:b] for a, b in pairwise(ends) if a < b]
+        if len(shares) == 1:
+            return []
         return [Responses(kernel, share, scheme, sensors) for share in shares]
 
 
